@@ -24,16 +24,15 @@ from capture_rig.camera import CameraModel
 from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.visibility import of_shape
 
-from .background.kernels import BEYOND_NOISE
+from .background.kernels import BEYOND_NOISE, WITHIN_NOISE
 
 Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
 
 MOST_STEPS, LAST_STEPS, CONVERGED_RAD = 8, 3, 2e-5
 # Thresholds: in standard deviations of the pixels' noise, measured by python bench/camera_movement.py.
-SIGMAS = 3.0  # a residual is noise within so many standard deviations: those of a pixel, or of the typical one ...
-SCALE_QUANTILE, SCALE_QUANTILE_SIGMAS = 0.3, 0.385  # ... which is this quantile's: more than half may be hidden
-AGREES_PX = 0.5  # a place agrees when its edge lies within so much (of a pixel at the working size) of where it should
+SCALE_QUANTILE, SCALE_QUANTILE_SIGMAS = 0.3, 0.385  # the typical residual's: more than half may be hidden
+LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this, and a place agrees
 FEW_POINTS, FEW_CELLS = 60, 12
 WELL_KNOWN = 0.5  # when so many agree there is no need to search
 BY_CHANCE = 0.5  # a place that agrees as often as this with turns that are wrong is not used
@@ -48,14 +47,12 @@ class Alignment:
     """How the camera has turned since the reference.
 
     turn_rad (3,) : rotation vector of the camera in its own frame (x right, y down, z forward), radians: what was
-    in direction d is now in direction exp(turn) d. sd_rad (3,) : its standard deviations by noise. agreeing : share of
-    the reference's edges, as far as they are in view, that are where this turn puts them, beyond what chance does: 0
-    when the picture has nothing to do with the reference, 1 when nothing is hidden. agreeing_unmoved : the same without
-    any turn.
+    in direction d is now in direction exp(turn) d. agreeing : share of the reference's edges, as far as they are in
+    view, that are where this turn puts them, beyond what chance does: 0 when the picture has nothing to do with the
+    reference, 1 when nothing is hidden. agreeing_unmoved : the same without any turn.
     """
 
     turn_rad: Array
-    sd_rad: Array
     agreeing: float
     agreeing_unmoved: float
 
@@ -158,16 +155,12 @@ class PictureAlignment:
     def _measure(self, view: Picture, R: Array) -> Alignment | None:
         points = self._levels[0]
         residual, seen = self._residual(view, points, R)
-        agree = _agree(residual, points) & seen
-        slope = points.slope[agree] / points.noise
-        H = slope.T @ slope
-        if np.count_nonzero(seen) < FEW_POINTS or not _invertible(H):
+        if np.count_nonzero(seen) < FEW_POINTS:
             return None
         unmoved, seen_unmoved = self._residual(view, points, np.eye(3))
         return Alignment(
             turn_rad=rotation_vector(R),
-            sd_rad=np.sqrt(np.linalg.inv(H).diagonal()),
-            agreeing=self._beyond_chance(agree, seen),
+            agreeing=self._beyond_chance(_agree(residual, points) & seen, seen),
             agreeing_unmoved=self._beyond_chance(_agree(unmoved, points) & seen_unmoved, seen_unmoved),
         )
 
@@ -177,13 +170,13 @@ class PictureAlignment:
 
 
 def _agree(residual: Array, points: EdgePoints) -> npt.NDArray[np.bool_]:
-    return np.abs(residual) < np.maximum(SIGMAS * points.noise, AGREES_PX * points.steepness)
+    return np.abs(residual) < np.maximum(WITHIN_NOISE * points.noise, LINEAR_PX * points.steepness)
 
 
 def _weights(residual: Array, points: EdgePoints) -> Array:
     """Geman and McClure: quadratic within a few standard deviations, no influence of what lies far beyond."""
     typical = max(float(np.quantile(np.abs(residual), SCALE_QUANTILE)) / SCALE_QUANTILE_SIGMAS, points.noise)
-    x = residual / (SIGMAS * typical)
+    x = residual / (WITHIN_NOISE * typical)
     return 1 / (1 + x * x) ** 2
 
 

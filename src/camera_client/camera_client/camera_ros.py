@@ -31,7 +31,6 @@ from .diagnostics import (
     RecentStatistics,
     assess,
     background_findings,
-    background_mismatch,
     background_values,
     frame_values,
     source_values,
@@ -156,7 +155,6 @@ class CameraReport:
             calibrated=processor.camera is not None,
             placed=placed,
             has_background=processor.background is not None,
-            mismatch=background_mismatch(processor, source),
             refused=processor.refused,
             findings=findings,
         )

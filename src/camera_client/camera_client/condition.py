@@ -7,7 +7,7 @@ is said by :mod:`.background.causes`. No silhouette depends on either.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
@@ -23,8 +23,7 @@ from .frame_source import LASTING_S, REPORT_PERIOD_S
 from .silhouettes.pipeline import TYPICAL_LEVEL, Parts, SilhouettePipeline
 
 CHANNELS = ("blue", "green", "red")
-# Threshold: judgement (test_camera_condition.py states cases); what lasts for LASTING_S counts.
-RECENT_S = 30.0  # switches of the light within this count together
+RECENT_S = 10 * LASTING_S  # switches of the light within this count together; else what lasts for LASTING_S counts
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,11 @@ class Condition:
 
     def values(self) -> dict[str, object]:
         """Return the keys of the diagnostics; those of what was not measured are there, and empty."""
-        figures = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {key: "" if value is None else value for key, value in figures.items()}
+        return {key: "" if value is None else value for key, value in asdict(self).items()}
 
     def figures(self) -> dict[str, Any]:
         """Return the figures that :func:`.background.causes.find_causes` judges."""
-        figures = {field.name: getattr(self, field.name) for field in fields(self)}
+        figures = asdict(self)
         gains = [float(gain) for gain in self.light_gains.split()]
         if gains:
             mean = sum(gains) / len(gains)
@@ -97,6 +95,16 @@ def measured_certainty(parts: Parts | None, picture_px: int, faint_below: int | 
         found["person_faint"] = cv2.countNonZero(cv2.bitwise_and(near, parts.person)) / pixels
     doubted = cv2.inRange(parts.levels, SHADOW_CANDIDATE + 1, FOREGROUND - 1)
     return found | {"person_maybe_shadow": cv2.countNonZero(doubted) / pixels}
+
+
+def _spans(history: deque[tuple[int, Any]], stamp_ns: int, value: Any, span_s: float) -> bool:
+    """Add a value; return whether the history, cut to about ``span_s``, is so long. A clock set back begins anew."""
+    if history and stamp_ns < history[-1][0]:
+        history.clear()
+    history.append((stamp_ns, value))
+    while len(history) > 1 and (stamp_ns - history[1][0]) * NS >= span_s:
+        history.popleft()
+    return (stamp_ns - history[0][0]) * NS >= span_s
 
 
 class ConditionWatch:
@@ -155,21 +163,12 @@ class ConditionWatch:
 
     def _lasts(self, stamp_ns: int, now: tuple[float, ...]) -> tuple[float, ...]:
         """Return the least of each share in the last LASTING_S; 0 while that is not over."""
-        if self._lasting and stamp_ns < self._lasting[-1][0]:  # a clock was set back
-            self._lasting.clear()
-        self._lasting.append((stamp_ns, now))
-        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= LASTING_S:
-            self._lasting.popleft()
-        if (stamp_ns - self._lasting[0][0]) * NS < LASTING_S:
+        if not _spans(self._lasting, stamp_ns, now, LASTING_S):
             return (0.0,) * len(now)
         return tuple(map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
 
     def _recent_switches(self, stamp_ns: int, switches: int) -> int:
-        if self._switches and stamp_ns < self._switches[-1][0]:
-            self._switches.clear()
-        self._switches.append((stamp_ns, switches))
-        while (stamp_ns - self._switches[0][0]) * NS > RECENT_S:
-            self._switches.popleft()
+        _spans(self._switches, stamp_ns, switches, RECENT_S)
         return switches - self._switches[0][1]
 
     def _things(self, stamp_ns: int) -> dict[str, Any]:

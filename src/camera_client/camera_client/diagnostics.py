@@ -12,7 +12,7 @@ from enum import IntEnum
 
 from capture_rig.verdict import GOOD, Finding
 
-from .background.causes import age_h, find_causes, other_setting, worst_first
+from .background.causes import OTHER_SETTING, age_h, find_causes, other_setting, worst_first
 from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import LASTING_S, Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
@@ -39,9 +39,9 @@ class CameraState:
 
     ``connection`` is None for footage. ``recent`` counts the frames of the last seconds. ``frame_flags`` and
     ``mask_flags`` are those of the newest frame and silhouette. ``calibrated``: its lens is known, and ``placed``: its
-    pose. ``mismatch`` says why the picture cannot look like the background, if that is known; ``findings`` what else
-    speaks against the background, the worst first, and ``refused`` why there is one that is not in use; ``moved`` how
-    the camera was moved since its calibration, if it was, and ``severe`` whether that makes its silhouettes useless.
+    pose. ``findings`` say what speaks against the background, the worst first, and ``refused`` why there is one that is
+    not in use; ``moved`` how the camera was moved since its calibration, if it was, and ``severe`` whether that makes
+    its silhouettes useless.
     """
 
     grab: GrabState
@@ -52,7 +52,6 @@ class CameraState:
     calibrated: bool = True
     placed: bool = True
     has_background: bool = True
-    mismatch: str = ""
     refused: Finding | None = None
     findings: tuple[Finding, ...] = ()
     frame_flags: tuple[str, ...] = ()
@@ -80,8 +79,9 @@ def assess(state: CameraState) -> tuple[Level, str]:
         return Level.ERROR, _absence(state.connection)
     if state.moved and state.severe:
         return Level.ERROR, state.moved
-    if state.mismatch and LIGHTS in state.frame_flags:
-        return Level.WARN, state.mismatch
+    setting = next((finding.line for finding in state.findings if finding.code in OTHER_SETTING), "")
+    if setting and LIGHTS in state.frame_flags:
+        return Level.WARN, setting
     if state.frame_flags:
         return Level.WARN, "; ".join(f"{flag}: {REMEDIES.get(flag, flag)}" for flag in state.frame_flags)
     bad = state.recent.lost + state.recent.incomplete
@@ -177,13 +177,6 @@ def background_findings(
         figures |= {"age_h": age, "age_over_h": age - limit_h}
     other = other_setting(background.provenance, source.details, corrected)
     return worst_first([*other, *find_causes(figures)])
-
-
-def background_mismatch(processor: FrameProcessor, source: FrameSource) -> str:
-    """Why the picture must look unlike the background in use: another setting than it was learned with."""
-    if processor.background is None:
-        return ""
-    return next((finding.line for finding in other_setting(processor.background.provenance, source.details)), "")
 
 
 def background_values(processor: FrameProcessor, now_s: float) -> dict[str, object]:

@@ -19,7 +19,6 @@ from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.stamps import StampThrottle
 
 from .alignment import Alignment, Array, PictureAlignment
-from .background.kernels import BEYOND_NOISE
 from .background.model import BackgroundModel, Provenance
 from .frame_source import LASTING_S, REPORT_PERIOD_S, Image
 from .settings import CameraMovedSettings
@@ -146,20 +145,18 @@ class CameraMovedDetector:
         return self.movement
 
     def _measured(self) -> Movement:
-        """Return the median of the last samples; moved when that is certain, and more than the limit."""
+        """Return the median of the last samples; moved when that is more than the limit."""
         if len(self._samples) < SAMPLES:
             return self.movement
         turn_rad = np.median([sample.turn_rad for sample in self._samples], axis=0)
-        sd_rad = float(np.median([np.linalg.norm(sample.sd_rad) for sample in self._samples]))
         gained = float(np.median([sample.agreeing - sample.agreeing_unmoved for sample in self._samples]))
         R = rotation_matrix(turn_rad) @ self._since
         total_rad = rotation_vector(R)
         limit_rad = np.radians(self._settings.limit_deg)
-        beyond = np.linalg.norm(total_rad) - BEYOND_NOISE * sd_rad > limit_rad
         if np.linalg.norm(turn_rad) > limit_rad and gained < MIN_AGREEMENT_GAIN:
             return Movement()
         return Movement(
-            state=MovementState.MOVED if beyond else MovementState.STILL,
+            state=MovementState.MOVED if np.linalg.norm(total_rad) > limit_rad else MovementState.STILL,
             turn_rad=total_rad,
             shift_px=self._shift_px(R),
             agreeing=float(np.median([sample.agreeing for sample in self._samples])),

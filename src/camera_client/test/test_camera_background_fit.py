@@ -139,7 +139,7 @@ LEARNED_AT = Provenance("camera", 100, 1.5, camera_serial="4711", exposure_us="5
 def test_setting_that_it_was_not_learned_at_is_named_with_the_correction(now, text):
     (said,) = other_setting(LEARNED_AT, now, corrected=1.6)
     assert said.line.startswith(text) and "sagoma background" in said.line and said.code
-    (said,) = other_setting(LEARNED_AT, now)
+    (said,) = other_setting(LEARNED_AT, now, None)
     assert "corrected" not in said.line
     assert unfit(LEARNED_AT, now) is None
 
@@ -159,9 +159,9 @@ def test_background_that_cannot_be_corrected_is_unfit(now, code):
 
 @pytest.mark.parametrize("now", [{}, {"exposure_us": "5000.02"}, {"gain": "0.005"}, {"camera_serial": "4711"}])
 def test_settings_that_are_the_same_or_unknown_are_no_concern(now):
-    assert other_setting(LEARNED_AT, now) == () and unfit(LEARNED_AT, now) is None
+    assert other_setting(LEARNED_AT, now, None) == () and unfit(LEARNED_AT, now) is None
     unknown, other = Provenance("video", 100, 1.5), {"camera_serial": "1", "gain": "6", "exposure_us": "90000"}
-    assert other_setting(unknown, other) == () and unfit(unknown, other) is None
+    assert other_setting(unknown, other, None) == () and unfit(unknown, other) is None
 
 
 @pytest.mark.parametrize(

@@ -79,8 +79,9 @@ def test_level_and_text_follow_the_state(state, level, text):
 
 
 def test_setting_that_changed_explains_why_the_scene_looks_brighter_and_not_why_it_is_dark():
-    changed = {**RUNNING, "mismatch": "the exposure is 8000 us", "findings": (OLD,)}
-    assert assess(CameraState(**changed, frame_flags=("lights",)))[1] == "the exposure is 8000 us"
+    exposure = Finding(USABLE, "the exposure is 8000 us", "set it back", "background.exposure")
+    changed = {**RUNNING, "findings": (OLD, exposure)}
+    assert assess(CameraState(**changed, frame_flags=("lights",)))[1] == "the exposure is 8000 us: set it back"
     assert assess(CameraState(**changed, frame_flags=("dark",)))[1].startswith("dark: ")
 
 

@@ -83,7 +83,6 @@ def test_box_of_a_folding_lens_is_undistorted_as_the_whole_image_is():
 def test_turn_of_a_camera_with_a_folding_lens_is_measured(turn_deg):
     found = PictureAlignment(camera(), background().mean, NOISE).align(picture(1, turn_deg))
     assert np.degrees(found.turn_rad) == pytest.approx(turn_deg, abs=0.1)
-    assert np.isfinite(found.sd_rad).all()
 
 
 def test_places_to_compare_have_rays():

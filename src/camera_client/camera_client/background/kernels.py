@@ -22,7 +22,8 @@ STEP_PX = 2  # the whole picture is looked at in every second row and column, al
 WHITE, BLACK = 1, 2  # kinds of a background that is clipped
 F32 = np.float32
 
-# Thresholds: BEYOND_NOISE from the normal distribution; else measured by python bench/rooms.py.
+# Thresholds: WITHIN_NOISE, BEYOND_NOISE from the normal distribution; else measured by python bench/rooms.py.
+WITHIN_NOISE = 3.0  # standard deviations, of means and typical residuals: what noise explains
 BEYOND_NOISE = 4.0  # standard deviations: 1 in 16000 by noise alone, as few pixels as a picture may lose
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
 USUAL_S = 1.0  # time constant of what is usual: noise, outliers, flicker, edges' misfit, a picture at rest

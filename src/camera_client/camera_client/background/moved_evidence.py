@@ -20,14 +20,17 @@ from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, Foreground
 
 from ..frame_source import Image, Mask
 
-# Thresholds: APPLY_AFTER_S from the latency of the graph; else chosen with
-# the rooms of test_camera_moved_things.py.
+# Thresholds: APPLY_AFTER_S from the latency of the graph; else chosen with the rooms of test_camera_moved_things.py.
+WHOLE = 0.8  # share of a thing's blocks that must keep still: heads and hands move while a trunk does not; in the rest
+# others may see something: rays of other things that cross
+MAJORITY = 0.5  # of a thing that nobody else sees; of its outline that is visible, and has an edge in one of the two
+# pictures; more of the picture is another room
 APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep: twice the
 # reports' period, and no report stands for more time
 SILENT_S = 4 * APPLY_AFTER_S  # without a report for so long, nothing is known of the others
 
-Seconds = npt.NDArray[np.float32]
 Blocks = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float32]
 
 
 class SupportHistory:
@@ -76,7 +79,7 @@ class SupportHistory:
             self.sees_body = np.zeros(self.blocks, bool)
 
 
-def counted(seconds: Seconds, holds: Blocks, step_s: float, most_s: float) -> Seconds:
+def counted(seconds: Floats, holds: Blocks, step_s: float, most_s: float) -> Floats:
     """Count the seconds for which something holds up, to ``most_s``, and the others down, to 0."""
     step = np.where(holds, np.float32(step_s), np.float32(-step_s))
     return np.clip(seconds + step, 0.0, most_s).astype(np.float32)
@@ -108,12 +111,10 @@ ACROSS_PX = 3.0  # from the outline to both sides: beyond blur, and within a per
 SMOOTH_PX = 5  # side of the box in which the outline is made smooth, as the silhouette's median filter does
 FAINTER = 0.5  # an edge of the picture is gone when it has less than this share of the background's
 MOST_KEPT = 0.15  # share of the outline at which the picture may have an edge all the same: textures, codecs
-LEAST_OUTLINE = 0.5  # of the outline has to be visible, and to have an edge in one of the two, or it says nothing
 EDGE_SIGMAS = 2.0  # of a pixel: four of the difference of two means of 3 x 3 pixels
 ROUGHER = 1.3  # inside, the picture has edges like around it, not more of them: nobody stands there
 
 Pixels = npt.NDArray[np.intp]
-Floats = npt.NDArray[np.float32]
 
 
 def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image, noise: float) -> bool:
@@ -124,13 +125,13 @@ def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image
     than the blob. noise : grey levels, standard deviation of a pixel.
     """
     inside, outside, visible = _both_sides(blob, foreground)
-    if visible < LEAST_OUTLINE:
+    if visible < MAJORITY:
         return False
     now, learned = (_edge(picture, inside, outside) for picture in (image, background))
     least = EDGE_SIGMAS * noise
     says = np.maximum(now, learned) > least
     kept = now > np.maximum(FAINTER * learned, least)
-    return bool(says.mean() >= LEAST_OUTLINE and kept.mean() <= MOST_KEPT)
+    return bool(says.mean() >= MAJORITY and kept.mean() <= MOST_KEPT)
 
 
 def is_calm_inside(blob: Mask, image: Image, noise: float) -> bool:

@@ -24,7 +24,7 @@ from mocap_packets.silhouette import ForegroundSupport
 from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
 from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
-from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
+from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
@@ -37,11 +37,7 @@ STILL_S = (
 OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
 REST_S = USUAL_S  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
 # also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
-WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not; in the rest
-# others may see something: rays of other things that cross
-LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
 MOST_BLOBS = 8  # looked at a time: bounds the work
-MOST_ABSORBED = 0.5  # share of the picture; more is another room
 STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine tenths of the time, is static
 STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
@@ -226,7 +222,7 @@ class MovedThings:
         if unseen.any():
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
-                nobody = (blob & unseen).sum() >= LEAST_UNSEEN * blob.sum()
+                nobody = (blob & unseen).sum() >= MAJORITY * blob.sum()
                 if keeps_still and nobody and (blob & body).sum() <= (1 - WHOLE) * blob.sum():
                     self._take_over(image, blob & unseen, stamp_ns)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
@@ -265,7 +261,7 @@ class MovedThings:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= REST_S) & (self._others.body_s <= 0))
-        if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
+        if np.count_nonzero(blocks | (self._since_ns > 0)) > MAJORITY * blocks.size:
             self._overflow_ns = stamp_ns
             return
         pixels = self._to_pixels(blocks)

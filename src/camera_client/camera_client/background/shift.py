@@ -24,15 +24,14 @@ from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
-# Thresholds: LINEAR_PX from edges that are a pixel or two wide; else measured by python bench/rooms.py.
+# Thresholds: measured by python bench/rooms.py.
 PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture without edges does not move
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
-LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
 DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
-LEFT_S = 0.5  # time constant of what is left
+LEFT_S = 2 * SETTLE_S  # time constant of what is left: of what did not last
 RESTLESS = 1.5  # edges that fit worse than in the second before, by such a factor, may have moved at once
 FEW_PLACES = 40
 FEWEST = 3  # frames whose median counts
@@ -52,13 +51,9 @@ class Displacement(NamedTuple):
         """Return an upper bound of any pixel's displacement in a picture (H, W)."""
         return math.hypot(self.right_px, self.down_px) + abs(self.roll_rad) * math.hypot(*shape[:2]) / 2
 
-    def compose(self, by: Displacement) -> Displacement:
-        """Return the sum of two displacements; they are small, so that they add."""
-        return Displacement(*(a + b for a, b in zip(self, by, strict=True)))
-
-    def relative_to(self, before: Displacement) -> Displacement:
-        """Return the displacement since ``before``; displacements are small, so that they add."""
-        return Displacement(*(a - b for a, b in zip(self, before, strict=True)))
+    def plus(self, by: Displacement, times: float = 1.0) -> Displacement:
+        """Return the sum with ``times`` another one; displacements are small, so that they add."""
+        return Displacement(*(a + times * b for a, b in zip(self, by, strict=True)))
 
     def moved(self, picture: Floats) -> Floats:
         """Return the background ``picture`` (H, W, C) as the displaced camera sees it: always a new array."""
@@ -163,11 +158,11 @@ class ShiftEstimator:
         lasting = Displacement(*map(median, zip(*(each for _, each in self._recent), strict=True)))
         if lasting.most_px(self._shape) < FOLLOW_PX:
             return Displacement()
-        return Displacement(*(DAMPING * each for each in lasting))
+        return Displacement().plus(lasting, DAMPING)
 
     def move(self, by: Displacement) -> bool:
         """Add a displacement to ``total``; False, and nothing is changed, where that is more than is followed."""
-        total = self.total.compose(by)
+        total = self.total.plus(by)
         if total.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
             return False
         self.total = total

@@ -131,7 +131,7 @@ class BackgroundTrainer:
             if error is None and running.learner.frames < running.request.frames:
                 return
             self._running = None
-        running.over.set_result(self._conclude(running) if error is None else running.refused(str(error)))
+        running.over.set_result(self._conclude(running) if error is None else running.report(str(error)))
 
     def cancel(self, reason: str) -> None:
         """End the training under way, if any, because no more frames come."""
@@ -139,7 +139,7 @@ class BackgroundTrainer:
             running, self._running = self._running, None
         if running is not None:
             taken = f"{running.learner.frames} of {running.request.frames} frames"
-            running.over.set_result(running.refused(f"{reason} after {taken}"))
+            running.over.set_result(running.report(f"{reason} after {taken}"))
 
     def _conclude(self, training: _Training) -> TrainingReport:
         """Judge, use and save what was learned."""
@@ -150,11 +150,11 @@ class BackgroundTrainer:
             verdict = judge_background(model, training.learner.brightness, request.before)
             model, findings = model.with_provenance(verdict=str(verdict)), verdict.findings
             if verdict.grade == REDO:
-                return training.refused(describe_background(model), model, findings)
+                return training.report(describe_background(model), model, findings)
             used = self._use(model)
         except Exception as error:  # whatever it is, the request gets its report
             text = str(error) if isinstance(error, InputError) else f"the background cannot be used: {error!r}"
-            return training.refused(text, model, findings)
+            return training.report(text, model, findings)
         findings += turn_findings(used.provenance)
         text, saved = describe_background(used), ""
         if request.file:
@@ -163,7 +163,7 @@ class BackgroundTrainer:
                 text, saved = f"{text}; saved to {request.file}", request.file
             except InputError as error:
                 text = f"{text}; in use, but not saved: {error}"
-        return training.report(judge(findings).grade, text, model, findings, saved)
+        return training.report(text, model, findings, judge(findings).grade, saved)
 
 
 class _Training:
@@ -173,15 +173,15 @@ class _Training:
         self.number, self.request = number, request
         self.learner, self.over = BackgroundLearner(), Future[TrainingReport]()
 
-    def refused(
-        self, text: str, model: BackgroundModel | None = None, findings: tuple[Finding, ...] = ()
-    ) -> TrainingReport:
-        """Return the report that ``model`` was not taken, or that there is none."""
-        return self.report(REDO, text, model, findings)
-
     def report(
-        self, grade: str, text: str, model: BackgroundModel | None, findings: tuple[Finding, ...], saved: str = ""
+        self,
+        text: str,
+        model: BackgroundModel | None = None,
+        findings: tuple[Finding, ...] = (),
+        grade: str = REDO,
+        saved: str = "",
     ) -> TrainingReport:
+        """Return the report; by default that ``model`` was not taken, or that there is none."""
         if model is None:
             return TrainingReport(self.number, grade, findings, text=text)
         frames, noise = model.provenance.frames, round(model.provenance.mean_noise, 3)

@@ -67,10 +67,6 @@ class Box(NamedTuple):
         (top, left, bottom, right), o = self, other
         return Box(min(top, o.top), min(left, o.left), max(bottom, o.bottom), max(right, o.right))
 
-    def relative_to(self, outer: Box) -> Box:
-        """Return the same box, counted from the corner of ``outer``."""
-        return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)
-
 
 class ForegroundLocator:
     """Finds, fast, a box that holds everything in an image that may be a part of a person.

@@ -38,7 +38,7 @@ from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
-from .shadows import HALVED_NOISE, Scene, enlarged, make_shadow_test
+from .shadows import HALVED_NOISE, ColourShadow, FloorShadow, Scene, enlarged
 from .texture import halve
 
 EMPTY, FULL = "empty", "full"
@@ -134,9 +134,11 @@ class SilhouettePipeline:
             self.moved = MovedThings(whole, sigma, self.scale)
         self.channels = len(background.shape[2:]) * 3 or 1
         self.looked_at_px = camera.width * camera.height
-        self._shadow = make_shadow_test(camera, self.channels, settings, volume)
+        self._shadow: FloorShadow | ColourShadow | None = None
+        if settings.shadow != "keep":
+            self._shadow = ColourShadow(camera, volume) if self._colour else FloorShadow(camera, volume)
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
-        self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
+        self._alignment_px = math.lcm(self._shadow.alignment_px if self._shadow else 1, ALIGNMENT_PX)
         height = camera.height
         min_area_px = HAND * height**2
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
@@ -211,7 +213,7 @@ class SilhouettePipeline:
             return self._silhouette(found.stamp_ns, nothing, box, canvas)
         scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
         raw = self._decide(found, scene)
-        shadow = self._shadow.shadow(scene, raw)
+        shadow = self._shadow.shadow(scene, raw) if self._shadow else np.zeros_like(raw)
         kept = self._keep_person(cv2.subtract(raw, shadow), found)
         person, cut = self._trim_outline(kept, found.change)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)

@@ -1,13 +1,12 @@
 """Finds what may be only shadow: by the floor's texture, and in colour images, anywhere, by the chromaticity.
 
-A single camera decides what is most likely shadow (:func:`make_shadow_test`); :mod:`.attenuation` writes into the
-silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with all cameras.
+A single camera decides what is most likely shadow (:class:`FloorShadow`, :class:`ColourShadow`); :mod:`.attenuation`
+writes into the silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with
+all cameras.
 The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its clips.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -17,10 +16,9 @@ from capture_rig.kernel import njit
 from capture_rig.mask_levels import ATTENUATION_EDGES
 from capture_rig.rig import Volume
 
-from ..background.kernels import F32, OPTIONS
+from ..background.kernels import F32, OPTIONS, WITHIN_NOISE
 from ..background.verdict import HAND, PERSON
 from ..frame_source import Image, Mask
-from ..settings import SilhouetteSettings
 from .evidence import COLOUR_SHARE, Scene
 from .masks import Box, majority
 from .texture import as_dark_as_near, blocks_that_fit, halve, lose_texture, shadow_sums, sum_by_label
@@ -29,7 +27,6 @@ from .texture import as_dark_as_near, blocks_that_fit, halve, lose_texture, shad
 # with python bench/rooms.py.
 FLOOR_DARKEST, COLOUR_DARKEST = 0.45, ATTENUATION_EDGES[0]  # a shadow leaves at least this share of the brightness,
 LIGHTEST = ATTENUATION_EDGES[-1]  # ... and at most this: less cannot be told from noise
-SHADOW_SIGMAS = 3.0  # in a shadow, image and darkened background differ by no more, on average (texture, colour)
 PERSISTENCE = 0.3  # in a shadow at least this share of the floor's texture is still seen; smooth clothes show none
 MIN_AREA = PERSON / 2  # share of height^2; smaller patches are not taken for shadow
 TINT = 0.05  # share of the light that it lost by which a shadow is tinted: other lamps and walls have other colours
@@ -57,36 +54,6 @@ _ALL_BYTES: dict[int, np.unsignedinteger] = {
 }
 
 
-class ShadowTest(Protocol):
-    """Tells which foreground pixels show only the background in shadow."""
-
-    alignment_px: int
-    """Parts that begin at multiples of this give what the whole image gives."""
-
-    def shadow(self, scene: Scene, mask: Mask) -> Mask:
-        """Return (h, w) uint8: 255 at pixels of ``mask`` that are shadow, else 0."""
-
-
-def make_shadow_test(
-    camera: CameraModel, channels: int, settings: SilhouetteSettings, volume: Volume | None = None
-) -> ShadowTest:
-    """Return the test for mono or colour images, or none, as the settings ask; ``volume``: the capture volume."""
-    if settings.shadow == "keep":
-        return NoShadow()
-    if channels == 3:
-        return ColourShadow(camera, volume)
-    return FloorShadow(camera, volume)
-
-
-class NoShadow:
-    """Finds no shadow anywhere."""
-
-    alignment_px = 1
-
-    def shadow(self, scene: Scene, mask: Mask) -> Mask:
-        return np.zeros_like(mask)
-
-
 class FloorShadow:
     """Tells which foreground pixels of a grey image show only the floor in shadow.
 
@@ -101,6 +68,8 @@ class FloorShadow:
     Both also hold for each connected patch as a whole, or the patch is none: by chance they hold in small ones. The
     border of a shadow, where windows reach out of it, is thin, and goes with its patch; so do pixels beside it that are
     as dark against the floor as it is there, where windows reach into the body.
+
+    alignment_px : parts of the image that begin at multiples of this give what the whole image gives.
     """
 
     def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
@@ -144,14 +113,14 @@ class FloorShadow:
         """Pixels beside a patch that are as dark, against the floor, as the patch is near them: windows that reach into
         the body fit nothing."""
         beside = cv2.bitwise_and(looked_at, cv2.subtract(cv2.dilate(patches, self._border), patches))
-        near = as_dark_as_near(image, expected, patches, len(self._border), SHADOW_SIGMAS * sigma)
+        near = as_dark_as_near(image, expected, patches, len(self._border), WITHIN_NOISE * sigma)
         fits = majority(cv2.bitwise_and(enlarged(near, 2, patches.shape), beside), 3)
         fits = cv2.morphologyEx(cv2.bitwise_or(fits, patches), cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_and(fits, looked_at)
 
     def _large_patches(self, sigma: float, sums: np.ndarray) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
-        limit, least_px = (SHADOW_SIGMAS * sigma) ** 2, 0.5 * self._block**2
+        limit, least_px = (WITHIN_NOISE * sigma) ** 2, 0.5 * self._block**2
         fits = blocks_that_fit(sums, limit, np.float32(PERSISTENCE), least_px, TEXTURE_BLOCKS // 2)
         patches, labels = cv2.connectedComponents(fits, connectivity=4)
         if patches == 1:
@@ -223,7 +192,6 @@ class ColourShadow:
         self._floor_shadow = FloorShadow(camera, volume)
         self.alignment_px = self._floor_shadow.alignment_px
         self._near = np.ones((2 * TEXTURE_WINDOW_PX + 1,) * 2, np.uint8)
-        self._rule = DarkenedRule(TINT, SHADOW_SIGMAS**2, MIN_CONTRAST**2, LIGHTEST)
         on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
         self._darkest = np.where(on_floor, np.float32(COLOUR_DARKEST), np.float32(WALL_DARKEST))
 
@@ -236,7 +204,7 @@ class ColourShadow:
         codec_variance = np.zeros((0, 0), np.float32)
         if scene.codec_sigma is not None:
             codec_variance = np.square(np.float32(COLOUR_SHARE) * halve(scene.codec_sigma))
-        found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest, self._rule)
+        found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         self._drop_lost_texture(scene, found)
         found = cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
@@ -253,7 +221,7 @@ class ColourShadow:
         image, expected = scene.grey.image[both], scene.grey.expected[both]
         variance = HALVED_NOISE * scene.sigma**2
         sums = np.zeros((4, *part.shape), np.float32)
-        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, SHADOW_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
+        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, WITHIN_NOISE**2 * variance, TEXTURE_LEFT, sums)
         count, labels = cv2.connectedComponents(part, connectivity=4)
         area, _, shared, power = per_label = np.zeros((4, count))
         sum_by_label(labels, sums, tuple(per_label))
@@ -269,27 +237,15 @@ class ColourShadow:
         part[(lost | ~beside)[labels]] = 0
 
 
-class DarkenedRule(NamedTuple):
-    """When a colour is that of the darkened background; see :class:`ColourShadow`.
-
-    tint : share of the light lost. chromaticity2 : squared distance in sigmas, at most, and at least that of grey
-    clothes as bright. contrast2 : squared contrast with black at least. lightest : share of the brightness that is left
-    at most.
-    """
-
-    tint: float
-    chromaticity2: float
-    contrast2: float
-    lightest: float
-
-
 @njit(**OPTIONS, crops=True)
-def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule):  # type: ignore[no-untyped-def]
+def find_darkened(image, expected, mask, noise, codec_variance, darkest):  # type: ignore[no-untyped-def]
     """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
 
     image (2 h, 2 w, 3) uint8, expected (2 h, 2 w, 3) float32; mask (h, w) uint8 : not 0 at what is looked at. An odd
     side is continued. noise (2, 3) : read and slope, as of :class:`..background.noise.Noise`; codec_variance (h, w) :
     variance beyond it, or (0, 0). darkest (h, w) float32 : share of the brightness that is left at least.
+
+    Grey clothes as bright must differ from it by more than it may differ itself; see :class:`ColourShadow`.
     """
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
     found = np.zeros(mask.shape, np.uint8)
@@ -308,15 +264,15 @@ def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule): 
                 power += mu[c] * mu[c] / variance[c]
                 shared += x[c] * mu[c] / variance[c]
             factor = shared / max(power, 1e-9)
-            if power < rule.contrast2 or factor < darkest[i, j] or factor > rule.lightest:
+            if power < MIN_CONTRAST**2 or factor < darkest[i, j] or factor > LIGHTEST:
                 continue
             distance2 = grey2 = 0.0
             mean = (mu[0] + mu[1] + mu[2]) / 3.0
             for c in range(3):
-                tint, departure = rule.tint * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
+                tint, departure = TINT * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
                 distance2 += departure * departure / (variance[c] + tint * tint)
                 departure = factor * (mean - mu[c])
                 grey2 += departure * departure / (variance[c] + tint * tint)
-            if distance2 <= rule.chromaticity2 < grey2:
+            if distance2 <= WITHIN_NOISE**2 < grey2:
                 found[i, j] = 255
     return found
