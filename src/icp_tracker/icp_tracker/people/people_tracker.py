@@ -23,7 +23,6 @@ from stick_figure.body import Body
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
 from ..acquisition.pose_source import HULL_SOURCES
-from ..acquisition.upright import reasons_of_bodies
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from ..monitor.evidence import SAME_M
 from ..settings import MOST_PERSONS, IcpNodeSettings
@@ -251,8 +250,7 @@ class PeopleTracker:
                 fit = self._admit(part, fit)
                 found[fit.person] = fit
         if FIRST_PERSON not in fits and FIRST_PERSON not in found:
-            fit = fits_nothing(seen.stamp_ns, reasons_of_bodies(self._reasons))
-            found[FIRST_PERSON] = fit
+            found[FIRST_PERSON] = fits_nothing(seen.stamp_ns, _reason_of_all(self._reasons))
         if not self._persons and not self._newcomers:
             self._newcomers = {NO_PART: self._make()}
         return found
@@ -347,6 +345,13 @@ class PeopleTracker:
         if FIRST_PERSON not in exchanged:
             exchanged[FIRST_PERSON] = fits_nothing(stamp_ns, "taken for somebody else")
         return exchanged
+
+
+def _reason_of_all(reasons: Mapping[int, str]) -> str:
+    """Return one sentence for the reasons by which each body, by its number, is nobody yet."""
+    if len(reasons) == 1:
+        return next(iter(reasons.values()))
+    return "; ".join(f"body {number}: {reason}" for number, reason in sorted(reasons.items())) or "no hull"
 
 
 def _size_of(seen: HullProducts, part: int) -> int:
