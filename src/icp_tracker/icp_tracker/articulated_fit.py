@@ -23,6 +23,7 @@ import numpy as np
 
 from capture_rig.settings import setting
 from capture_rig.visibility import EVERYWHERE, RigVisibility
+from mocap_packets.fit import Solution
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
@@ -118,21 +119,13 @@ class ArticulatedSettings:
 class FitResult:
     """The stick figure fitted to a cloud of points, world frame.
 
-    pose : the figure's pose; converged : the last step was below the tolerance within the iterations allowed.
-    iterations : solver iterations; points, inliers : data points given, and those within the robust gate.
-    rms_m : root mean square distance (m) of the inliers to their sticks; stick_inliers : (10,) inliers a stick.
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
     matched : what the rays were matched to.
     """
 
     pose: Pose
-    converged: bool
-    iterations: int
-    points: int
-    inliers: int
-    rms_m: float
-    stick_inliers: np.ndarray
+    solution: Solution
     reference_points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
@@ -161,19 +154,9 @@ def assess(
     points_world, covariance, counts, rms_m, near_sticks, matched = found
     if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
-    return FitResult(
-        pose,
-        bool(converged),
-        int(iterations),
-        len(data.points),
-        int(counts.sum()),
-        rms_m,
-        counts,
-        points_world,
-        covariance,
-        _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS),
-        matched,
-    )
+    solution = Solution(len(data.points), int(counts.sum()), rms_m, int(iterations), bool(converged))
+    visible = _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS)
+    return FitResult(pose, solution, points_world, covariance, visible, matched)
 
 
 def make_data(

@@ -32,6 +32,7 @@ NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hea
 PERIOD_NS = 25_000_000
 EPOCH_NS = 5_000_000_000
 NEVER_S = 3600.0
+WITH_RAYS = {"initial_pose.t_pose.hold_sets": 2, "articulated.contour.weight": 10_000.0}
 
 
 def stamp(k):
@@ -259,7 +260,7 @@ def in_a_t_pose(body, *places):
 
 def test_t_pose_is_acquired_from_a_hull_and_reset_looks_for_it_again(bench, body):
     _, seen = in_a_t_pose(body, 0.2)
-    node = bench(**{"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0}).start()
+    node = bench(**{**WITH_RAYS, "prediction_wait_s": 0.0}).start()
     for k in range(3):
         answer = node.answer(hull(seen, k))
         assert answer.state == ("acquiring" if k == 0 else "tracking")
@@ -273,7 +274,7 @@ def test_t_pose_is_acquired_from_a_hull_and_reset_looks_for_it_again(bench, body
 
 def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, tmp_path):
     poses, seen = in_a_t_pose(body, -1.0, 1.0)
-    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": NEVER_S}
+    parameters = {**WITH_RAYS, "prediction_wait_s": NEVER_S}
     node = bench(**parameters, **{"bodies.folder": str(tmp_path)})
     others = node.listen(String, "icp/bodies", LATCHED)
     node.start()
@@ -299,7 +300,7 @@ def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, t
 
 def test_no_more_persons_are_followed_than_the_parameter_says(bench, body):
     _, seen = in_a_t_pose(body, -1.0, 1.0)
-    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0}
+    parameters = {**WITH_RAYS, "prediction_wait_s": 0.0}
     node = bench(**parameters, **{"people.max": 1}).start()
     for k in range(3):
         node.hulls.publish(hull(seen, k))

@@ -152,10 +152,6 @@ class LimbPoses(NamedTuple):
         """Return one pose."""
         return self.R[number], float(self.flexion[number])
 
-    def with_others(self, others: LimbPoses) -> LimbPoses:
-        """Return these and others."""
-        return LimbPoses(np.concatenate([self.R, others.R]), np.concatenate([self.flexion, others.flexion]))
-
     def part(self, number: int, parts: int) -> LimbPoses:
         """Return every ``parts``-th pose: together the parts are the whole."""
         return LimbPoses(

@@ -287,7 +287,7 @@ class PeopleTracker:
         for number in self._away_like(tracker):
             known = self._persons[number]
             assert tracker.pose is not None
-            known.tracker.move_to(fit.stamp_ns, tracker.pose)
+            known.tracker.move_to(tracker.pose)
             known.away, known.seen_ns = False, fit.stamp_ns
             return replace(fit, person=number, recovered="somebody of this person's sizes")
         number = max(self._persons, default=0) + 1
@@ -332,8 +332,8 @@ class PeopleTracker:
         one, other = self._persons[first], self._persons[second]
         assert one.tracker.pose is not None and other.tracker.pose is not None
         poses = other.tracker.pose, one.tracker.pose
-        one.tracker.move_to(stamp_ns, poses[0])
-        other.tracker.move_to(stamp_ns, poses[1])
+        one.tracker.move_to(poses[0])
+        other.tracker.move_to(poses[1])
         one.away, other.away = other.away, one.away
         one.seen_ns, other.seen_ns = other.seen_ns, one.seen_ns
         exchanged = dict(fits)
