@@ -1,8 +1,8 @@
 """What the hull of a T-pose adds to the sizes of a person of whom the stature is known.
 
-The hull shows sums of lengths: from hand to hand, from the floor to the arms. How a sum splits at a joint inside a
-straight limb (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so each sum is one linear update.
-Where limbs point, and which voxels are theirs, tells the figure that was fitted to the T-pose.
+The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. How a sum splits at
+a joint inside a straight limb (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so each sum is
+one linear update. Where limbs point, and which voxels are theirs, tells the figure that was fitted to the T-pose.
 """
 
 from __future__ import annotations
@@ -11,7 +11,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .body_sizes import ANKLE, CALF, FOREARM, HIP, MEAN_OVER_STATURE, RISE, SHOULDER, THIGH, UPPER_ARM, BodyEstimate
+from .body_sizes import (
+    ANKLE,
+    CALF,
+    FOREARM,
+    HEAD_,
+    HIP,
+    MEAN_OVER_STATURE,
+    RISE,
+    SHOULDER,
+    THIGH,
+    TORSO_,
+    UPPER_ARM,
+    BodyEstimate,
+)
 
 # Over the stature: thresholds measured by python bench/acquisition.py (rms against claimed standard deviation).
 SHOWN_SD = 0.009  # by which a sum that the hull shows errs
@@ -61,6 +74,7 @@ def _sums(points: np.ndarray, local: np.ndarray, H: float, pitch: float) -> Iter
         aparts.append(offset + slope * hip_height)
         uprights.append(1.0 / np.hypot(1.0, slope))
     stretch, upright, height = (float(np.mean(values)) for values in (stretches, uprights, heights))
+    yield {HEAD_: 1.0, TORSO_: 1.0, THIGH: upright, CALF: upright, ANKLE: 1.0}, H
     yield {UPPER_ARM: 1.0, FOREARM: 1.0, SHOULDER: stretch}, stretch * float(np.mean(reaches)) + FINGERS_LOST_M
     yield {RISE: 1.0, THIGH: upright, CALF: upright, ANKLE: 1.0}, height
     yield {HIP: 1.0}, float(np.mean(aparts))
