@@ -186,12 +186,12 @@ class HullSource:
             others += [exchanged(body, self._followed[0].pose, limbs) for limbs in (WITH_LEGS, WITH_ARMS)]
         ahead = np.arctan2(*stance.forward_world[::-1])
         asked = Pose.from_angles(best.position_world, rotation_matrix(np.array([0.0, 0.0, ahead])), self._asked)
-        around = [seen.fitted(pose, free) for pose in others]
-        around += [seen.fitted(pose, self._settings) for pose in (asked, turned_around(asked))]
-        for pose in [best, *around, *fitted[1:]]:
-            if self._is_new(body, pose):
-                self._followed.append(PoseHypothesis(pose))
-                self._followed[-1].add(seen)
+        held = [PoseHypothesis(seen.fitted(pose, self._settings), self._asked) for pose in (asked, turned_around(asked))]
+        free_ones = [PoseHypothesis(pose) for pose in (best, *(seen.fitted(pose, free) for pose in others), *fitted[1:])]
+        for hypothesis in [*held, *free_ones]:
+            if self._is_new(body, hypothesis.pose):
+                self._followed.append(hypothesis)
+                hypothesis.add(seen)
         self._keep_the_best()
 
     def _keep_the_best(self) -> None:

@@ -105,10 +105,12 @@ class PoseHypothesis:
 
     cost : what speaks against it, as a share of the rays; share : of the rays that it explains; seen : of its sticks,
     as cameras look at them, that rays show; all summed over the sets. feet : log-likelihood ratio of its heading from
-    the feet. way : m, gone forwards of late (negative: backwards).
+    the feet. way : m, gone forwards of late (negative: backwards). angles (18,) : from which every fit starts, of a pose
+    that is held; None: where the last one ended.
     """
 
     pose: Pose
+    angles: np.ndarray | None = None
     cost: float = 0.0
     share: float = 0.0
     seen: float = 0.0
@@ -139,7 +141,8 @@ class PoseHypothesis:
 
     def follow(self, seen: Sight, step_s: float, settings: ArticulatedSettings) -> None:
         """Fit the pose to the next set."""
-        before, self.pose = self.pose, seen.fitted(self.pose, settings)
+        before = self.pose
+        self.pose = seen.fitted(before if self.angles is None else held(before, self.angles), settings)
         moved = self.pose.position_world - before.position_world
         self.way = self.way * math.exp(-step_s / STEP_S) + float(moved[:2] @ before.R_world_torso[:2, 0])
         self.add(seen)
@@ -156,11 +159,16 @@ class PoseHypothesis:
         self.sets += 1
 
 
+def held(pose: Pose, angles: np.ndarray) -> Pose:
+    """Return a pose upright with these angles (18,), where another one stands and facing as it does."""
+    heading = math.atan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0])
+    return Pose.from_angles(pose.position_world, rotation_matrix(np.array([0.0, 0.0, heading])), angles)
+
+
 def farthest_stick(body: Body, pose: Pose, angles: np.ndarray) -> tuple[str, float]:
     """Return the stick of a body, but the head, that points farthest from where it does upright with these angles
     (18,), and by what angle, rad."""
-    heading = math.atan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0])
-    upright = Pose.from_angles(pose.position_world, rotation_matrix(np.array([0.0, 0.0, heading])), angles)
+    upright = held(pose, angles)
     here, there = (np.diff(sticks(body, one), axis=1)[:, 0] / body.lengths[:, None] for one in (pose, upright))
     cosines = np.delete((here * there).sum(axis=1), HEAD)
     return np.delete(STICK_NAMES, HEAD)[cosines.argmin()], float(np.arccos(min(cosines.min(), 1.0)))
