@@ -42,7 +42,7 @@ from ..monitor.pose_library import (
 )
 from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
-from .pose_hypothesis import PoseHypothesis, Sight, farthest_stick
+from .pose_hypothesis import T_POSE_RAD, PoseHypothesis, Sight, farthest_stick
 from .t_pose_sizes import with_t_pose
 from .truncation import FEET, HEAD, TYPICAL_STATURE_M, Stance, advice_text, cut_parts, pitch_of, stance_of
 
@@ -60,7 +60,6 @@ SURE_SHARE = 0.03  # so much more of the outlines a pose must explain than any t
 GIRTHS, LITTLE_SHARE = (1.0, 1.3, 0.8), 0.7  # over the average: tried where a body of average girth explains less
 BETTER_SHARE = 0.02  # another girth that explains so much more is right
 LEAST_AGREEMENT = 0.5  # of outlines and body: in clutter, torn outlines are no body's, but then all of it is seen
-T_POSE_RAD = 0.6  # from where the sticks of a T-pose point: arms may be low, elbows bent, fits to three views err
 STILL_M = 0.03  # way of somebody who stands still, over the sets of a T-pose
 LEVEL, LOWERED = "level", "lowered"
 
@@ -186,9 +185,9 @@ class HullSource:
             others += [exchanged(body, self._followed[0].pose, limbs) for limbs in (WITH_LEGS, WITH_ARMS)]
         ahead = np.arctan2(*stance.forward_world[::-1])
         asked = Pose.from_angles(best.position_world, rotation_matrix(np.array([0.0, 0.0, ahead])), self._asked)
-        held = [PoseHypothesis(seen.fitted(pose, self._settings), self._asked) for pose in (asked, turned_around(asked))]
-        free_ones = [PoseHypothesis(pose) for pose in (best, *(seen.fitted(pose, free) for pose in others), *fitted[1:])]
-        for hypothesis in [*held, *free_ones]:
+        held = (seen.fitted(pose, self._settings) for pose in (asked, turned_around(asked)))
+        free_ones = (best, *(seen.fitted(pose, free) for pose in others), *fitted[1:])
+        for hypothesis in [PoseHypothesis(pose, self._asked) for pose in held] + [*map(PoseHypothesis, free_ones)]:
             if self._is_new(body, hypothesis.pose):
                 self._followed.append(hypothesis)
                 hypothesis.add(seen)

@@ -28,6 +28,7 @@ STEP_M, STEP_S = 0.4, 1.0  # way of about a second of somebody who walks, and do
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
 FEET_EVIDENCE = 5.0  # log-likelihood ratio of the feet's heading from which they count about that much
 SEEN_RAYS = 3  # explained rays that show a stick to a camera
+T_POSE_RAD = 0.6  # from where the sticks of a T-pose point: arms may be low, elbows bent, fits to three views err
 EXPLAINED_COST = ray_cost(EXPLAINED_M, GATE_M)
 # over the stature, a foot is .055 wide and .152 long: heights up to which voxels are of soles, of ankles, and a foot
 # stands; how far about the ankle its voxels are
@@ -105,8 +106,8 @@ class PoseHypothesis:
 
     cost : what speaks against it, as a share of the rays; share : of the rays that it explains; seen : of its sticks,
     as cameras look at them, that rays show; all summed over the sets. feet : log-likelihood ratio of its heading from
-    the feet. way : m, gone forwards of late (negative: backwards). angles (18,) : from which every fit starts, of a pose
-    that is held; None: where the last one ended.
+    the feet. way : m, gone forwards of late (negative: backwards). angles (18,) : of a pose that is held: a fit
+    that leaves it is tried again from there; None: of any pose.
     """
 
     pose: Pose
@@ -141,8 +142,9 @@ class PoseHypothesis:
 
     def follow(self, seen: Sight, step_s: float, settings: ArticulatedSettings) -> None:
         """Fit the pose to the next set."""
-        before = self.pose
-        self.pose = seen.fitted(before if self.angles is None else held(before, self.angles), settings)
+        before, self.pose = self.pose, seen.fitted(self.pose, settings)
+        if self.angles is not None and farthest_stick(seen.body, self.pose, self.angles)[1] >= T_POSE_RAD:
+            self.pose = seen.fitted(held(before, self.angles), settings)
         moved = self.pose.position_world - before.position_world
         self.way = self.way * math.exp(-step_s / STEP_S) + float(moved[:2] @ before.R_world_torso[:2, 0])
         self.add(seen)
