@@ -26,19 +26,9 @@ from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.body_sizes import (
-    MEAN_OVER_STATURE,
-    SIZES,
-    BodyEstimate,
-    body_of_sizes,
-    estimate_body,
-    sizes_of_body,
-)
-from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
-from icp_tracker.acquisition.t_pose_source import SURENESS, TPoseSource
-from icp_tracker.acquisition.upright import PoseRejected
+from icp_tracker.acquisition.body_sizes import MEAN_OVER_STATURE, SIZES, BodyEstimate, body_of_sizes, sizes_of_body
+from icp_tracker.acquisition.hull_source import HullSource, TPoseSettings
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import HullProducts, VoxelSamples
 from mocap_pipeline.session_footage import EPOCH_NS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -58,15 +48,12 @@ def of_session(session: Session, exact: bool) -> dict[str, object]:
     """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
     pipeline, source = (
         HullPipeline(session.rig, HullSettings(backend="cpu")),
-        TPoseSource(TPoseSettings(), RigVisibility(session.rig)),
+        HullSource(TPoseSettings(), None, RigVisibility(session.rig)),
     )
     points = session.truth.stick_figure_points()
     for frame, frame_masks in enumerate(islice(canvas_masks(session, exact), LONGEST)):
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
-        hull = pipeline.run(FrameSet.of_instant(stamp_ns, frame_masks))
-        voxels = VoxelSamples.checked(hull.products.voxels.points_world, hull.products.voxels.surface)
-        line = hull.products.centerline.points_world
-        answer = source.find_pose(HullProducts.of_points(stamp_ns, line, voxels=voxels))
+        answer = source.find_pose(pipeline.run(FrameSet.of_instant(stamp_ns, frame_masks)).products)
         if answer.pose is not None:
             truth = points[frame]
             left = truth[3] - truth[4]
@@ -91,17 +78,13 @@ def angle(first: np.ndarray, second: np.ndarray) -> float:
 def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
     """Many people in the studio: mean and rms error of each size, refusals, and how many are taken back to front."""
     rng, errors, claims, refused, backward = np.random.default_rng(cameras), [], [], [], 0
-    for body, pose, voxels, visibility in hulls_of_people(cameras, ceiling, number, rng):
-        try:
-            measured = measure_t_pose(voxels, TPoseSettings(), visibility)
-        except PoseRejected as refusal:
-            refused.append(refusal.reason)
+    for body, pose, products, visibility in hulls_of_people(cameras, ceiling, number, rng):
+        answer = HullSource(TPoseSettings(hold_sets=1), None, visibility).find_pose(products)
+        if answer.pose is None:
+            refused.append(answer.reason)
             continue
-        if measured.facing < SURENESS:
-            refused.append("front and back look alike")
-            continue
-        backward += int(measured.body.forward_world @ pose.R_world_torso[:2, 0] < 0.0)
-        estimate, truth = estimate_body([measured]), sizes_of_body(body)
+        backward += int(answer.pose.R_world_torso[:, 0] @ pose.R_world_torso[:, 0] < 0.0)
+        estimate, truth = answer.estimate, sizes_of_body(body)
         truth[SIZES.index("ankle_height")] = VolumetricBody(body).ankle_height
         errors.append(estimate.sizes - truth)
         claims.append(errors[-1] / estimate.sd)
@@ -117,7 +100,7 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
 
 
 def hulls_of_people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
-    """Body, pose and hull voxels of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
+    """Body, pose and hull products of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
     rig = ring(cameras, ceiling=ceiling)
     visibility = RigVisibility(rig)
     eyes, pipeline = ExactSilhouettes(rig), HullPipeline(rig, HullSettings(backend="cpu"))
@@ -129,7 +112,7 @@ def hulls_of_people(cameras: int, ceiling: bool, number: int, rng: np.random.Gen
         masks = eyes.render(parts)
         stamp_ns = (k + 1) * 1_000_000_000
         hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
-        yield body, pose, hull.products.voxels.points_world, visibility
+        yield body, pose, hull.products, visibility
 
 
 def t_pose(body: Body, rng: np.random.Generator) -> Pose:

@@ -23,14 +23,15 @@ import numpy as np
 
 from capture_rig.settings import setting
 from capture_rig.visibility import EVERYWHERE, RigVisibility
+from mocap_packets.fit import Solution
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.joint_limits import LIMIT_SD_RAD
+from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD
 from stick_figure.least_squares import gauss_newton
-from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
+from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
-from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
+from stick_figure.least_squares.gauss_newton import Data, Stop, Weights
 from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
 from stick_figure.least_squares.normal_equations import TANGENT
@@ -43,23 +44,13 @@ from stick_figure.trunk_bend import with_joint_centres
 # of the fit; checked by bench/people.py --ablation on rendered and real sessions
 POINT_GATE_M = 0.08  # distance at which a centerline point's weight has fallen to 1/4
 STICK_SD_M = 0.03  # of a perfect centerline point from its stick: a body is no stick figure
-NEIGHBOURS = 4.0  # centerline points that carry the information of one independent one: they share voxels
 TOLERANCE_M = 0.002  # converged when an iteration moves no reference point farther than this
-VOXEL_GATE_M = 0.06  # distance at which a voxel's weight has fallen to 1/4
-TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
 SURFACE_SAMPLES, HULL_SAMPLES = 1000, 1000  # voxels of the surface, and with the interior, that stand for the hull
 RAYS = 1200  # contour rays that are used
-CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
-# weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
-# to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
-OVERCOUNTED = 30.0
-CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 # of what is known without data; twice and three times as wide loses arms of stylised people (bench/families.py)
 POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
-NECK_SD, NECK_PITCH = 0.25, 0.1  # rad, of the head about its rest, forward of the torso's axis; not in the covariance
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
 UNSEEN_SD = 0.5  # m, rad, of what no row bears on, about a joint's free range to either side: a forearm's 15 cm
-COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
@@ -106,16 +97,14 @@ class ArticulatedSettings:
     """Settings of the all-joints solve.
 
     gate_m : distance at which a centerline point's weight has fallen to 1/4. model_sigma_m : distance of a perfect
-    centerline point from its stick. correlation : centerline points that carry the information of one independent one.
-    prior : how far a pose may leave its start where no datum says otherwise, over the PRIOR_SD. max_iterations : of
-    Gauss-Newton.
+    centerline point from its stick. prior : how far a pose may leave its start where no datum says otherwise, over the
+    PRIOR_SD. max_iterations : of Gauss-Newton.
     """
 
     volume: VolumeSettings = field(default_factory=VolumeSettings)
     contour: ContourSettings = field(default_factory=ContourSettings)
     gate_m: float = POINT_GATE_M
     model_sigma_m: float = STICK_SD_M
-    correlation: float = NEIGHBOURS
     prior: float = 1.0
     max_iterations: int = 8
 
@@ -130,21 +119,13 @@ class ArticulatedSettings:
 class FitResult:
     """The stick figure fitted to a cloud of points, world frame.
 
-    pose : the figure's pose; converged : the last step was below the tolerance within the iterations allowed.
-    iterations : solver iterations; points, inliers : data points given, and those within the robust gate.
-    rms_m : root mean square distance (m) of the inliers to their sticks; stick_inliers : (10,) inliers a stick.
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
     matched : what the rays were matched to.
     """
 
     pose: Pose
-    converged: bool
-    iterations: int
-    points: int
-    inliers: int
-    rms_m: float
-    stick_inliers: np.ndarray
+    solution: Solution
     reference_points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
@@ -165,29 +146,17 @@ def assess(
     """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
 
     The covariance of a point is what the independent rows of this set determine: ``J H^-1 J^T`` with the H of
-    :mod:`stick_figure.least_squares.independent_rows`. Without contour rays, and so for the hierarchical fit, it is
-    ``correlation * J (H + Lambda)^-1 J^T``, larger by the reduced chi-square where the inliers lie farther off than
-    their own sigma says. Most of it lasts for many sets (the filter's share); where in a limb a joint is (the filter's
-    joint uncertainty) is not in it.
+    :mod:`stick_figure.least_squares.independent_rows`. Most of it lasts for many sets (the filter's share); where in a
+    limb a joint is (the filter's joint uncertainty) is not in it.
     """
-    weights, scale = make_weights(data, settings), Scale(UNSEEN, COVARIANCE_SHARE, settings.correlation)
-    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, scale)
+    weights = make_weights(data, settings)
+    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, UNSEEN)
     points_world, covariance, counts, rms_m, near_sticks, matched = found
     if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
-    return FitResult(
-        pose,
-        bool(converged),
-        int(iterations),
-        len(data.points),
-        int(counts.sum()),
-        rms_m,
-        counts,
-        points_world,
-        covariance,
-        _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS),
-        matched,
-    )
+    solution = Solution(len(data.points), int(counts.sum()), rms_m, int(iterations), bool(converged))
+    visible = _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS)
+    return FitResult(pose, solution, points_world, covariance, visible, matched)
 
 
 def make_data(
@@ -247,7 +216,7 @@ def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarra
     figure, span_s = Figure.of(body), np.abs(rays.time_s).max()
     now, then = (place(State.of(each), figure) for each in (pose, pose.retract(velocity * span_s)))
     arrays = ray_arrays(rays, np.ones(len(rays)))
-    match, share = match_rays(arrays, now, CONTOUR_SLACK_M), (rays.time_s / span_s)[:, None]
+    match, share = match_rays(arrays, now, SLACK_M), (rays.time_s / span_s)[:, None]
     starts, ends = (then.P - now.P)[match.capsule], (then.Q - now.Q)[match.capsule]
     moved = starts + match.along[:, None] * (ends - starts)
     return replace(rays, points_world=rays.points_world - share * moved, time_s=np.zeros(len(rays)))
@@ -271,15 +240,9 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     return Weights(
         prior=PRIOR / settings.prior**2,
         voxel=volume.weight * one / voxels if voxels else 0.0,
-        voxel_gate=VOXEL_GATE_M,
-        voxel_tight=TIGHT_M,
-        contour_gate=CONTOUR_GATE_M,
-        contour_slack=CONTOUR_SLACK_M,
         neck=NECK_SD**-2,
-        neck_pitch=NECK_PITCH,
         limit=LIMIT_SD_RAD**-2,
         ends=CORRELATED * _information(settings.contour.turn_sd),
-        keypoint=OVERCOUNTED,
     )
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from capture_rig.visibility import RigVisibility
-from stick_figure import kernels
+from stick_figure.kinematics import stick_frames
 from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_STICK
 
@@ -58,10 +58,7 @@ _SHARES = _shares()
 def covariance_of_sizes(pose: Pose, size_sd_m: np.ndarray) -> np.ndarray:
     """Return (15, 3, 3) m^2, world frame, of the points of a pose when the sizes (10,) have these deviations, m."""
     variances = _SHARES @ size_sd_m**2
-    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
-    _, R0, RJ, hinges = pose.arrays
-    kernels.stick_frames(R0, RJ, hinges, G, axes)
-    frames = G[POINT_STICK]
+    frames = stick_frames(pose)[POINT_STICK]
     return np.asarray((frames * variances[:, None, :]) @ frames.transpose(0, 2, 1))
 
 

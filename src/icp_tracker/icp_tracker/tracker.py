@@ -7,13 +7,13 @@ filter's prediction, choose the rows of the body that is expected there, fit, le
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
-from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, Fit, TrackQuality
 from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
@@ -49,23 +49,9 @@ from .thesis.hierarchical_icp import fit_hierarchical
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 # Thresholds: measured by python bench/recovery.py.
-FOLLOW_S = 0.25  # that the fit starts from its own pose at most, until the filter has followed
+FOLLOW_SETS = 15  # that the fit starts from its own pose at most: the filter believes a jump after five
 FEWEST_POINTS = 15  # fewer centerline points count as none
 FIRST_ITERATIONS = 30  # of the first fit
-FOLLOW_SETS = 7  # ... but so many sets at least: the filter believes a jump after five
-
-
-@dataclass(frozen=True)
-class OwnStart:
-    """Counts the sets since which fits start from the tracker's own pose, not from the filter's prediction."""
-
-    since_ns: int
-    sets: int = 0
-
-    def next(self, stamp_ns: int) -> OwnStart | None:
-        """Return one more set; None when the filter has had time enough."""
-        over = stamp_ns - self.since_ns >= FOLLOW_S * NS_PER_S and self.sets + 1 >= FOLLOW_SETS
-        return None if over else OwnStart(self.since_ns, self.sets + 1)
 
 
 class IcpTracker:
@@ -87,7 +73,7 @@ class IcpTracker:
         self._pose: Pose | None = None
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
-        self._own: OwnStart | None = None  # while fits start from the own pose, because the filter has to follow
+        self._own_sets: int | None = None  # since which fits start from the own pose, because the filter has to follow
         self._data_fitted: Data | None = None
         self._matched: tuple[FitResult, ContourRays] | None = None
 
@@ -122,7 +108,7 @@ class IcpTracker:
 
     def expected(self, stamp_ns: int, prediction: Prediction | None = None) -> Pose | None:
         """Return where the body is expected in the next set; None before the first pose."""
-        if prediction is None or prediction.pose is None or self._own is not None:
+        if prediction is None or prediction.pose is None or self._own_sets is not None:
             return self._pose
         return None if self._pose is None else self._predicted(stamp_ns, prediction, prediction.pose)
 
@@ -132,11 +118,11 @@ class IcpTracker:
         fitted, _, _ = minimise(body, pose, self._data_fitted, self._settings.articulated)
         return evidence_of(Figure.of(body), fitted, self._data_fitted).cost
 
-    def move_to(self, stamp_ns: int, pose: Pose) -> None:
+    def move_to(self, pose: Pose) -> None:
         """Go on from another pose of the same body; the filter has to follow. ValueError while there is no body."""
         if self._body is None:
             raise ValueError("no body is followed yet")
-        self._pose, self._own = pose, OwnStart(stamp_ns)
+        self._pose, self._own_sets = pose, 0
         self._monitor.reset()
 
     @property
@@ -175,16 +161,14 @@ class IcpTracker:
             seen = replace(seen, contour_rays=rays)
         data = self._data_fitted = self._data(seen)
         fit = self._solve(body, start, data)
-        expected = None if started_from == FROM_OWN else start
         settings = self._settings.articulated
-        found = self._monitor.assess(seen.stamp_ns, body, fit.pose, data, settings, expected, fit.matched)
-        instead = found.kept if found.better is None else found.better
-        if instead is not None:
-            fit = assess(body, instead, data, fit.iterations, fit.converged, settings)
+        found = self._monitor.assess(seen.stamp_ns, body, fit.pose, data, settings, fit.matched)
+        if found.better is not None:
+            fit = assess(body, found.better, data, fit.solution.iterations, fit.solution.converged, settings)
         elif found.quality.state == GOOD and learn:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:
-            self._own = OwnStart(seen.stamp_ns)
+            self._own_sets = 0
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
         if judged.state != LOST and self.has_outline:
@@ -198,10 +182,10 @@ class IcpTracker:
         if prediction is None or prediction.pose is None:
             return own, FROM_OWN
         predicted = self._predicted(stamp_ns, prediction, prediction.pose)
-        if self._own is not None:
+        if self._own_sets is not None:
             agrees = farthest_apart_m(body, predicted, own) <= SAME_M  # then the filter has followed a recovered pose
-            self._own = None if agrees else self._own.next(stamp_ns)
-            if self._own is not None:
+            self._own_sets = None if agrees or self._own_sets + 1 >= FOLLOW_SETS else self._own_sets + 1
+            if self._own_sets is not None:
                 return own, FROM_OWN
         return predicted, str(prediction.stamp_ns)
 
@@ -254,7 +238,7 @@ class IcpTracker:
         state = of_parts if quality.state == GOOD else quality.state
         return Fit(
             *(stamp_ns, state, started_from, quality.reason, 0, fit.reference_points_world, covariance, visible),
-            *(fit.pose, _solution(fit), quality, found.change, found.moved),
+            *(fit.pose, fit.solution, quality, found.change, found.moved),
         )
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
@@ -274,15 +258,15 @@ class IcpTracker:
         if reason := too_few_points(seen):
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         fit = self._solve(found.body, found.pose, self._data(seen), FIRST_ITERATIONS)
-        explained = fit.inliers / fit.points
+        explained = fit.solution.inliers / fit.solution.points
         if explained < self._settings.acquire_inliers and not found.is_fitted:
             reason = f"the first pose explains only {100 * explained:.0f} % of the points"
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         self._body, self._pose, self._refiner = found.body, fit.pose, self._new_refiner(found)
         # the first pose is itself a measurement of every point, also of those the hull hides
         points, visible = fit.reference_points_world, np.ones(15, dtype=bool)
-        covariance, solution = self._with_sizes(fit), _solution(fit)
-        return Fit(seen.stamp_ns, TRACKING, FROM_INITIAL, "", 0, points, covariance, visible, fit.pose, solution)
+        known = (points, self._with_sizes(fit), visible, fit.pose, fit.solution)
+        return Fit(seen.stamp_ns, TRACKING, FROM_INITIAL, "", 0, *known)
 
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """Return what refines the body that was found; of one whose sizes are given it learns the build, unless that
@@ -332,10 +316,6 @@ def too_few_points(seen: HullProducts) -> str:
     """Return why a set has too few points to be fitted; empty when it has enough."""
     points = len(seen.centerline)
     return "" if points >= FEWEST_POINTS else f"{points} centerline points, {FEWEST_POINTS} needed"
-
-
-def _solution(fit: FitResult) -> Solution:
-    return Solution(fit.points, fit.inliers, fit.rms_m, fit.iterations, fit.converged)
 
 
 def fits_nothing(stamp_ns: int, reason: str) -> Fit:

@@ -8,7 +8,7 @@ from icp_tracker.articulated_fit import TOLERANCE_M, ArticulatedSettings, assess
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS
 from stick_figure.kinematics import sticks
 from stick_figure.least_squares.contour_factor import RayArrays
-from stick_figure.least_squares.gauss_newton import Data, Weights
+from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
@@ -80,17 +80,11 @@ NO_POINTS = np.empty((0, 3))
 NO_RAYS = RayArrays(np.empty((13, 0)), np.empty(0))
 NO_DATA = Data(NO_POINTS, np.empty(0), np.empty(0), NO_POINTS, NO_POINTS, NO_RAYS, EVERYWHERE)
 WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
-NO_WEIGHTS = Weights(np.zeros(24), 0.0, WIDE_M, WIDE_M, WIDE_M, 0.05, *[0.0] * 5)
 
 
 def data(**kinds):
     """Data of one kind and nothing else."""
     return NO_DATA._replace(**kinds)
-
-
-def weights(**terms):
-    """Weights of one term, all others off, all gates wide."""
-    return NO_WEIGHTS._replace(**terms)
 
 
 def equations(term, *arguments):

@@ -7,7 +7,7 @@ from t_pose_studio import person, standing, studio
 from capture_rig.rig import Rig, Volume
 from capture_rig.visibility import RigVisibility
 from icp_tracker.acquisition import body_sizes
-from icp_tracker.acquisition.t_pose_measures import measure_t_pose
+from icp_tracker.acquisition.hull_source import HullSource, TPoseSettings
 from icp_tracker.articulated_fit import UNSEEN_SD
 from icp_tracker.body_uncertainty import covariance_of_sizes, widen_hidden
 from stick_figure.body import Body
@@ -18,10 +18,10 @@ from virtual_studio.people import VolumetricBody
 from virtual_studio.rig import VOLUME, ring
 
 
-def measured(body, build=1.0, heading=0.4, **angles):
-    """What a T-pose before six cameras shows of a body."""
+def estimate_of(body, build=1.0, heading=0.4, **angles):
+    """What a T-pose before six cameras says of a body's sizes."""
     parts = person(body, standing(body, both_sides(hip_x=0.1, **angles), heading), build)
-    return measure_t_pose(studio().render(parts).voxels.points_world)
+    return HullSource(TPoseSettings(hold_sets=1), None).find_pose(studio().render(parts)).estimate
 
 
 def test_sizes_of_people_of_other_proportions_are_within_what_is_claimed():
@@ -31,10 +31,9 @@ def test_sizes_of_people_of_other_proportions_are_within_what_is_claimed():
         stature = rng.uniform(1.45, 1.95)
         truth = body_sizes.MEAN_OVER_STATURE * stature * rng.uniform(0.95, 1.05, len(body_sizes.SIZES))
         body = body_sizes.body_of_sizes(truth)
-        t_pose = measured(
+        estimate = estimate_of(
             body, rng.uniform(0.85, 1.2), rng.uniform(-3, 3), shoulder_x=rng.uniform(-0.2, 0.2), elbow=-0.1
         )
-        estimate = body_sizes.estimate_body([t_pose])
         truth[body_sizes.SIZES.index("ankle_height")] = VolumetricBody(body).ankle_height
         errors.append(estimate.sizes - truth)
         claims.append(estimate.sd)
@@ -46,7 +45,7 @@ def test_sizes_of_people_of_other_proportions_are_within_what_is_claimed():
 
 
 def test_claimed_uncertainty_shrinks_where_the_hull_speaks_and_not_where_it_is_silent():
-    prior, estimate = body_sizes.prior_sizes(1.75), body_sizes.estimate_body([measured(Body.from_stature(1.75))])
+    prior, estimate = body_sizes.prior_sizes(1.75), estimate_of(Body.from_stature(1.75))
     ratio = dict(zip(body_sizes.SIZES, estimate.sd / prior.sd, strict=True))
     assert ratio["forearm"] < 0.95 and ratio["half_shoulder_width"] < 0.75 and ratio["half_hip_width"] < 0.85
     assert ratio["ankle_height"] > 0.9

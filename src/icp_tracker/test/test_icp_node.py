@@ -1,7 +1,7 @@
 """The ICP node among messages: one answer for every hull, whatever arrives."""
 
 import os
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +10,7 @@ import synthetic_people as synthetic
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_probe import FAILURE, SUCCESS, NodeProbe, values_of
 from pose_file import save_initial_pose
+from refinement_rays import grazing_rays
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -18,7 +19,7 @@ from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.extrinsic_monitor import ExtrinsicErrors
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker, fits_nothing
-from mocap_packets.hull import NO_VOXELS, Centerline, HullProducts, VoxelSamples
+from mocap_packets.hull import Centerline, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.people import Predictions, parse_bodies
 from mocap_packets.state import Prediction
 from sagoma_ros.messages import to_ns
@@ -31,16 +32,18 @@ NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hea
 PERIOD_NS = 25_000_000
 EPOCH_NS = 5_000_000_000
 NEVER_S = 3600.0
+WITH_RAYS = {"initial_pose.t_pose.hold_sets": 2, "articulated.contour.weight": 10_000.0}
 
 
 def stamp(k):
     return EPOCH_NS + k * PERIOD_NS
 
 
-def hull(points, k, voxels=NO_VOXELS):
-    """Message of a hull whose centerline are the points (n, 3), or a `Centerline`."""
-    line = points if isinstance(points, Centerline) else Centerline.of_points(points, 0.005)
-    return tables_message(HullProducts(stamp(k), line, voxels), "map")
+def hull(seen, k):
+    """Message of a hull whose centerline are the points (n, 3), or of `HullProducts`, at set k."""
+    if not isinstance(seen, HullProducts):
+        seen = HullProducts(0, Centerline.of_points(seen, 0.005))
+    return tables_message(replace(seen, stamp_ns=stamp(k)), "map")
 
 
 def prediction_message(stamp_ns, pose=None, velocity=None):
@@ -237,39 +240,46 @@ def test_silence_of_the_hull_server_is_reported_within_a_second_and_its_return_t
 
 
 def in_a_t_pose(body, *places):
-    """People in a T-pose at these x: poses, centerline and voxels of all, each row with its body's number."""
-    height = 0.53 * 1.75 + body.half_lengths[0]
-    poses = [synthetic.t_pose((x, 0.1, height), heading=0.4) for x in places]
+    """People in a T-pose at these x: poses, and products of all, each row with its body's number."""
+    poses = [synthetic.t_pose((x, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.4) for x in places]
     rng = np.random.default_rng(3)
     clouds = [synthetic.stick_cloud(body, pose, rng, 300, 0.01) for pose in poses]
     voxels = [synthetic.voxels(body, pose) for pose in poses]
-    of_clouds, of_voxels = (np.repeat(np.arange(len(parts)), [len(p) for p in parts]) for parts in (clouds, voxels))
-    line = Centerline.of_points(np.vstack(clouds), 0.005, of_clouds)
-    return poses, line, VoxelSamples(np.vstack(voxels), np.zeros(len(of_voxels), bool), of_voxels)
+    rays = [grazing_rays(body, pose, rng) for pose in poses]
+    lines, hulls, outlines = (
+        np.repeat(np.arange(len(places)), [len(p) for p in kind]) for kind in (clouds, voxels, rays)
+    )
+    columns = (np.concatenate([getattr(one, field.name) for one in rays]) for field in fields(ContourRays))
+    return poses, HullProducts(
+        0,
+        Centerline.of_points(np.vstack(clouds), 0.005, lines),
+        VoxelSamples(np.vstack(voxels), np.zeros(len(hulls), bool), hulls),
+        contour_rays=replace(ContourRays(*columns), body=outlines),
+    )
 
 
-def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body):
-    _, line, voxels = in_a_t_pose(body, 0.2)
-    node = bench(**{"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0}).start()
+def test_t_pose_is_acquired_from_a_hull_and_reset_looks_for_it_again(bench, body):
+    _, seen = in_a_t_pose(body, 0.2)
+    node = bench(**{**WITH_RAYS, "prediction_wait_s": 0.0}).start()
     for k in range(3):
-        answer = node.answer(hull(line, k, voxels))
+        answer = node.answer(hull(seen, k))
         assert answer.state == ("acquiring" if k == 0 else "tracking")
         if k == 0:
             assert answer.reason == "T-pose seen, hold it (1 of 2)"
             assert not answer.points.any() and not answer.visible.any()
     response = node.ask(Trigger, "icp_tracker/reset")
     assert response.success and "auto" in response.message
-    assert node.answer(hull(line, 3, voxels)).state == "acquiring"
+    assert node.answer(hull(seen, 3)).state == "acquiring"
 
 
 def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, tmp_path):
-    poses, line, voxels = in_a_t_pose(body, -1.0, 1.0)
-    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": NEVER_S}
+    poses, seen = in_a_t_pose(body, -1.0, 1.0)
+    parameters = {**WITH_RAYS, "prediction_wait_s": NEVER_S}
     node = bench(**parameters, **{"bodies.folder": str(tmp_path)})
     others = node.listen(String, "icp/bodies", LATCHED)
     node.start()
     for k in range(3):
-        node.hulls.publish(hull(line, k, voxels))
+        node.hulls.publish(hull(seen, k))
         node.until(lambda count=k + 1: len(node.points) == len(node.fits) == count)
         if k == 0:
             assert node.points[0].height == 1 and len(read_people_points(node.points[0], "test").of) == 1
@@ -289,11 +299,11 @@ def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, t
 
 
 def test_no_more_persons_are_followed_than_the_parameter_says(bench, body):
-    _, line, voxels = in_a_t_pose(body, -1.0, 1.0)
-    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0}
+    _, seen = in_a_t_pose(body, -1.0, 1.0)
+    parameters = {**WITH_RAYS, "prediction_wait_s": 0.0}
     node = bench(**parameters, **{"people.max": 1}).start()
     for k in range(3):
-        node.hulls.publish(hull(line, k, voxels))
+        node.hulls.publish(hull(seen, k))
         node.until(lambda count=k + 1: len(node.points) == count)
     assert [message.height for message in node.points] == [1, 1, 1]
 

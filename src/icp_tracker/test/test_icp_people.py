@@ -135,8 +135,8 @@ def test_persons_of_other_sizes_who_were_taken_for_each_other_are_exchanged_agai
     tall, short = number_of(fits, TALL, TALL_AT), number_of(fits, SHORT, SHORT_AT)
     people = play.tracker._persons
     poses = people[tall].tracker.pose, people[short].tracker.pose
-    people[tall].tracker.move_to(play.stamp_ns, poses[1])
-    people[short].tracker.move_to(play.stamp_ns, poses[0])
+    people[tall].tracker.move_to(poses[1])
+    people[short].tracker.move_to(poses[0])
     play.tracker._checks.append(IdentityCheck(1, 2))
     fits = play("both", 60)
     assert number_of(fits, TALL, TALL_AT) == tall

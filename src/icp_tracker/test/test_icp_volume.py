@@ -15,7 +15,6 @@ from stick_figure.least_squares.placed_figure import Figure, State, place, surfa
 from stick_figure.least_squares.point_factor import add_surface
 
 STEP = 1e-6
-WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
 LEFT_ELBOW, LEFT_HAND = 7, 11
 LEFT_SHOULDER_X = 8  # slot of the pose's tangent
 NOT_NECK = np.delete(np.arange(24), [6, 7])
@@ -87,7 +86,7 @@ def even_radii(body):
 def voxel_equations(body, pose, voxels):
     figure = Figure.of(body)
     even = place(State.of(pose), figure._replace(surface=figure.surface._replace(radii=even_radii(body))))
-    return synthetic.equations(add_surface, voxels, surface_distances(voxels, even), even, 1.0, WIDE_M)
+    return synthetic.equations(add_surface, voxels, surface_distances(voxels, even), even, 1.0, synthetic.WIDE_M)
 
 
 def test_hull_shows_the_heading_that_the_centerline_cannot(body):

@@ -202,13 +202,6 @@ class HullProducts:
         good = np.isfinite(line.points_world).all(axis=1) & np.isfinite(line.sigma)
         return replace(self, centerline=_rows(line, good)), int((~good).sum())
 
-    def voxels_of_bodies(self) -> dict[int, np.ndarray]:
-        """Return the voxels (m, 3) of each body, m, by its number; of nobody's only where there is no body."""
-        bodies = np.unique(self.voxels.body)
-        bodies = bodies[bodies >= 0] if (bodies >= 0).any() else bodies
-        points = self.voxels.points_world
-        return {int(body): points[self.voxels.body == body] for body in bodies} or {0: points}
-
     def numbers(self) -> list[int]:
         """Return the numbers of the bodies that rows belong to, in order; nobody's rows are no body's."""
         packets = (self.centerline, self.voxels, self.contour_rays)

@@ -63,12 +63,6 @@ def test_points_that_are_not_finite_are_dropped_and_counted():
     assert dropped == 2 and len(finite.centerline) == 2
 
 
-def test_voxels_of_bodies_leave_out_those_of_none():
-    by_number = products().voxels_of_bodies()
-    assert sorted(by_number) == [0, 1]
-    assert HullProducts.of_points(0, np.empty((0, 3))).voxels_of_bodies()[0].shape == (0, 3)
-
-
 def test_covariances_of_a_fit_leave_it_exactly_symmetric_as_six_numbers_are():
     root = RNG.normal(size=(15, 3, 3))
     covariance = root @ root.transpose(0, 2, 1)

@@ -29,6 +29,7 @@ LIMIT_SD_RAD = 0.2  # beyond its range, of what people do with a joint
 LARGEST_FLEXION = 2.6  # rad, where forearm meets upper arm and calf meets thigh
 FLATTEST = 0.2
 """Cosine of a limb's second angle below which its first and third turn about almost the same axis: no limit there."""
+NECK_SD, NECK_PITCH = 0.25, 0.1  # rad, of the head about its rest, forward of the torso's axis
 NECK_SLOTS = (6, 7)
 BALL_RATES = np.array((np.inf, np.inf, np.inf, 20.0, 20.0))
 """Largest rates of neck, shoulders and hips, rad/s. Kicks turn a hip at 15; throws turn a shoulder at more than 100."""
@@ -177,14 +178,14 @@ def add_row(slots, row, excess, weight, H, g):
 
 
 @njit(cache=True)
-def add_neck_rest(R_neck, rest_pitch, weight, H, g):
-    """Pull the head's direction to its rest, ``rest_pitch`` rad forward of the torso's axis, weight in 1/rad^2.
+def add_neck_rest(R_neck, weight, H, g):
+    """Pull the head's direction to its rest, NECK_PITCH rad forward of the torso's axis, weight in 1/rad^2.
 
     It keeps a head that no datum shows from folding into the torso.
     """
     if weight == 0.0:
         return
-    rest0, rest2 = np.sin(rest_pitch), np.cos(rest_pitch)
+    rest0, rest2 = np.sin(NECK_PITCH), np.cos(NECK_PITCH)
     d0, d1, d2 = R_neck[0, 2], R_neck[1, 2], R_neck[2, 2]
     c0, c1, c2 = d1 * rest2, d2 * rest0 - d0 * rest2, -d1 * rest0  # direction x rest
     sine = np.sqrt(c0 * c0 + c1 * c1 + c2 * c2)

@@ -1,8 +1,4 @@
-"""The sizes of a person: what is known of people, and what the hull of a T-pose adds to it.
-
-The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. How a sum splits at
-a joint inside a straight limb (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so the estimate
-is one linear update of the prior and comes with its covariance.
+"""The sizes of a person of whom only the stature is known: what is known of people.
 
 Prior: segment lengths over the stature, and how people differ. Means lie between Drillis & Contini 1966 (in Winter,
 fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870, shoulder .818; forearm and hand .254) and the joint
@@ -25,14 +21,11 @@ from stick_figure.body import Body
 from stick_figure.body_surface import LENGTHS, lengths_of
 from stick_figure.skeleton import HEAD, L_CALF, L_FOREARM, L_THIGH, L_UPPER_ARM, R_CALF, R_FOREARM, R_THIGH, R_UPPER_ARM
 
-from .t_pose_measures import TPose
-
 SIZES = (*LENGTHS, "ankle_height")
 """Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
 height above the hips, half the joints' distances, and the ankles' height above the floor."""
 HEAD_, TORSO_, RISE, SHOULDER, UPPER_ARM, FOREARM, HIP, THIGH, CALF, ANKLE = range(len(SIZES))
-# Thresholds: the first three from Drillis & Contini 1966, de Leva 1996, Bell et al. 1990; else measured by python
-# bench/acquisition.py (rms against claimed standard deviation).
+# Thresholds: from Drillis & Contini 1966, de Leva 1996, Bell et al. 1990.
 MEAN_OVER_STATURE = np.array([0.138, 0.332, 0.281, 0.110, 0.161, 0.259, 0.064, 0.245, 0.247, 0.039])
 SD_OVER_STATURE = np.array([0.009, 0.012, 0.014, 0.011, 0.011, 0.009, 0.008, 0.009, 0.007, 0.004])
 
@@ -56,15 +49,7 @@ def sizes_of_body(body: Body) -> np.ndarray:
     return np.append(lengths_of(body), MEAN_OVER_STATURE[ANKLE] * body.stature)
 
 
-# --- sizes: what the hull of a T-pose shows, joined with what is known of people
-
-HIP_HEIGHT = float(MEAN_OVER_STATURE[[THIGH, CALF, ANKLE]].sum())
-FINGERS_LOST_M = 0.015  # fingers are thinner than a voxel: a hull's arms end before the tips
-SHOULDER_BEYOND_CHEST = 0.015  # over the stature: shoulder joints lie outside the trunk's sides at the armpits
-# Thresholds: spread of adults' statures from surveys; the rest: judgement.
-# what hulls err by, over the stature
-STATURE_SPREAD_M = 0.09  # standard deviation of adults' statures
-STATURE_SD, ARM_SD, ARM_HEIGHT_SD, CHEST_SD, LEGS_SD = 0.006, 0.009, 0.009, 0.009, 0.010
+STATURE_SPREAD_M = 0.09  # standard deviation of adults' statures, from surveys
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +77,14 @@ class BodyEstimate:
         """(10,) standard deviations of the sizes, metres."""
         return np.sqrt(np.diag(self.covariance))
 
+    def updated(self, row: np.ndarray, value: float, sd: float) -> BodyEstimate:
+        """Return the estimate after observing row @ sizes = value, metres; Joseph form, which stays symmetric."""
+        P = self.covariance
+        gain = P @ row / (row @ P @ row + sd**2)
+        rest = np.eye(len(row)) - np.outer(gain, row)
+        covariance = rest @ P @ rest.T + sd**2 * np.outer(gain, gain)
+        return BodyEstimate(self.sizes + gain * (value - row @ self.sizes), covariance)
+
 
 def prior_sizes(stature_m: float) -> BodyEstimate:
     """Return a person of whom only the stature is known."""
@@ -103,62 +96,6 @@ def sizes_of_stature(stature_m: float, sd_m: float) -> BodyEstimate:
     wide = np.hypot(sd_m, STATURE_SPREAD_M)
     prior = prior_sizes(stature_m)
     common = np.outer(MEAN_OVER_STATURE, MEAN_OVER_STATURE) * wide**2
-    row = _row({HEAD_: 1.0, TORSO_: 1.0, THIGH: 1.0, CALF: 1.0, ANKLE: 1.0})
-    return _update(BodyEstimate(prior.sizes, prior.covariance + common), row, stature_m, sd_m)
-
-
-def estimate_body(measured: list[TPose]) -> BodyEstimate:
-    """Return the body that several frame sets of one held T-pose show; medians over the sets."""
-    stature = float(np.median([m.stature for m in measured]))
-    estimate = prior_sizes(stature)
-    for row, value, sd in _observations(measured, stature):
-        estimate = _update(estimate, row, value, sd * stature)
-    return estimate
-
-
-def _observations(measured: list[TPose], H: float) -> list[tuple[np.ndarray, float, float]]:
-    """Return what the hull says of the sizes: row (10,), value in metres, standard deviation over the stature."""
-    upright = float(np.median([np.cos(m.legs.spread) for m in measured]))
-    legs = {THIGH: upright, CALF: upright, ANKLE: 1.0}
-    half_width = MEAN_OVER_STATURE[SHOULDER] * H
-    stretch, tips, heights = np.median([_arms(m, half_width) for m in measured], axis=0)
-    found = [
-        # floor to crown
-        (_row({HEAD_: 1.0, TORSO_: 1.0, **legs}), H, STATURE_SD),
-        # spine to finger tips, along the arm from the shoulder on
-        (_row({UPPER_ARM: 1.0, FOREARM: 1.0, SHOULDER: stretch}), stretch * tips + FINGERS_LOST_M, ARM_SD),
-        # floor to the arms where they leave the shoulders
-        (_row({RISE: 1.0, **legs}), heights, ARM_HEIGHT_SD),
-        # the legs' lines at the hips
-        (_row({HIP: 1.0}), float(np.median([m.legs.apart_at(HIP_HEIGHT * H) for m in measured])), LEGS_SD),
-    ]
-    chest = float(np.median([m.chest_half_width for m in measured]))
-    if np.isfinite(chest):
-        found.append((_row({SHOULDER: 1.0}), chest + SHOULDER_BEYOND_CHEST * H, CHEST_SD))
-    return found
-
-
-def _arms(measured: TPose, half_width: float) -> tuple[float, float, float]:
-    """Of both arms on average: length over its share across, distance of the tip from the spine, height at the
-    shoulder; metres."""
-    arms = measured.arms
-    stretch = np.mean([arm.length_from(0.0) / arm.tip for arm in arms])
-    heights = np.mean([arm.at(half_width, measured.stature)[1] for arm in arms])
-    return float(stretch), float(np.mean([arm.tip for arm in arms])), float(heights)
-
-
-def _row(entries: dict[int, float]) -> np.ndarray:
     row = np.zeros(len(SIZES))
-    for index, value in entries.items():
-        row[index] = value
-    return row
-
-
-def _update(estimate: BodyEstimate, row: np.ndarray, value: float, sd: float) -> BodyEstimate:
-    """Return the estimate after observing row @ sizes = value, metres; Joseph form, which stays symmetric."""
-    P = estimate.covariance
-    gain = P @ row / (row @ P @ row + sd**2)
-    rest = np.eye(len(row)) - np.outer(gain, row)
-    return BodyEstimate(
-        estimate.sizes + gain * (value - row @ estimate.sizes), rest @ P @ rest.T + sd**2 * np.outer(gain, gain)
-    )
+    row[[HEAD_, TORSO_, THIGH, CALF, ANKLE]] = 1.0
+    return BodyEstimate(prior.sizes, prior.covariance + common).updated(row, stature_m, sd_m)

@@ -1,4 +1,4 @@
-"""Where the first pose comes from: a parameter file, the reference of a session, or (t_pose.py) a T-pose."""
+"""Where the first pose comes from: a parameter file, the reference of a session, or (`hull_source`) the hull."""
 
 from __future__ import annotations
 

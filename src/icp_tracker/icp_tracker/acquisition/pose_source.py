@@ -6,26 +6,16 @@ from dataclasses import dataclass, field
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
-from mocap_packets.hull import HullProducts
 from stick_figure.body import Body, load_body
 
-from .initial_pose import InitialPose, KnownPose, PoseSource, load_initial_pose, pose_from_reference
-from .motion_source import NO_HULL, MotionSettings, MotionSource
-from .t_pose_measures import TPoseSettings
-from .t_pose_source import TPoseSource
+from .hull_source import HullSource, MotionSettings, TPoseSettings
+from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_reference
 
 WHERE = "parameters of the ICP tracker"
 AUTO, T_POSE = "auto", "t_pose"
 HULL_SOURCES = (AUTO, T_POSE)
 """Sources that look at the hull, of as many persons as there are."""
-
-
-# Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
-# right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
-# times: judgement.
-T_POSE_FIRST_S = 1.0  # a T-pose that is seen but not accepted (who moves, front and back alike) decides for so long
 
 
 @dataclass(frozen=True)
@@ -58,35 +48,11 @@ def make_pose_source(
     """
     body = load_body(body_file) if body_file else None
     if settings.source in HULL_SOURCES:
-        held = TPoseSource(settings.t_pose, visibility, body)
-        stature = (settings.t_pose.stature_low_m, settings.t_pose.stature_high_m)
-        moving = MotionSource(settings.motion, visibility, stature, body)
-        return held if settings.source == T_POSE else CombinedPoseSource(held, moving)
+        motion = None if settings.source == T_POSE else settings.motion
+        return HullSource(settings.t_pose, motion, visibility, body)
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)
-
-
-class CombinedPoseSource:
-    """Looks for a T-pose, which measures the body at once, and for any other posture, which takes a body of average
-    proportions and learns its sizes later. While a T-pose is being held it alone decides."""
-
-    def __init__(self, t_pose: TPoseSource, motion: MotionSource) -> None:
-        self._t_pose, self._motion = t_pose, motion
-        self._held_ns = 0
-
-    def find_pose(self, seen: HullProducts) -> InitialPose:
-        """Return the T-pose, or the pose that the motion shows, or what to do."""
-        held = self._t_pose.find_pose(seen)
-        if not self._t_pose.is_held:
-            self._held_ns = seen.stamp_ns
-        if held.pose is not None or (
-            0 <= seen.stamp_ns - self._held_ns < T_POSE_FIRST_S * NS_PER_S and self._t_pose.is_held
-        ):
-            self._motion.reset()
-            return held
-        moving = self._motion.find_pose(seen)
-        return held if moving.reason == NO_HULL else moving
 
 
 def _from_file(path: str, body: Body | None) -> KnownPose:

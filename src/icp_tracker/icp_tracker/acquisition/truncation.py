@@ -7,7 +7,7 @@ head, hands and feet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from capture_rig.camera import CameraModel
 from capture_rig.visibility import RigVisibility
 
 FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right hand", "body"
-HAND = "hand"  # of a person whose front is not known
 
 # Thresholds: measured by python bench/acquisition.py (what is refused, what is started wrongly).
+TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
+SAGGING_M, FEET_LOST_M = 0.08, 0.6  # a hull sags so far below the soles; one that ends at the knees may lack feet
+COLUMN_M = 0.23  # of the crown from the body's middle, at most
 REACH_VOXELS = 1.5  # from a voxel's centre to where the hull must be able to go on
 FEWEST_CUT = 5  # voxels (of some 3000 samples of a body) that make a cut
 FEET_TO, HEAD_FROM = 0.45, 0.90  # heights over the stature: a cut below the first lacks feet
@@ -28,24 +30,17 @@ TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
 ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
 STEP_M, FARTHEST_M, DIRECTIONS = 0.1, 2.5, 16  # steps that are tried
 MARGIN_M = 0.10  # a place is seen with so much to spare: the hull of three cameras is so much wider than a hand
-SURE_FACING = 2.0  # log-likelihood ratio from which left and right are said
-WORDS = (
-    *("forwards", "forwards and left", "to the left of where you face", "backwards and left"),
-    *("backwards", "backwards and right", "to the right of where you face", "forwards and right"),
-)
 TYPICAL_STATURE_M = 1.75  # of somebody whose head is not seen
 
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """Where somebody stands: place (2,) m, forward (2,) unit, floor and stature m; facing : how sure ``forward`` is
-    against its opposite, a log-likelihood ratio."""
+    """Where somebody stands: place (2,) m, forward (2,) unit, or its opposite, floor and stature m."""
 
     place_world: np.ndarray
     forward_world: np.ndarray
     floor_world: float
     stature: float
-    facing: float = 0.0
 
     def places_of(self, part: str = "") -> np.ndarray:
         """Return points (k, 3) about one part of a T-pose in this stance, or about all of it, world, metres."""
@@ -56,10 +51,6 @@ class Stance:
         local = np.concatenate(list(parts.values())) * self.stature
         return np.asarray(origin + local @ np.array([ahead, left, up]))
 
-    def moved(self, by: np.ndarray) -> Stance:
-        """Return the same somewhere else."""
-        return Stance(self.place_world + by, self.forward_world, self.floor_world, self.stature, self.facing)
-
 
 _T_POSE = {
     FEET: np.array([[x, y, SOLE] for x in (HEEL, TOES) for y in (-ANKLES_APART, ANKLES_APART)]),
@@ -68,6 +59,27 @@ _T_POSE = {
     RIGHT_HAND: np.array([[0.0, -y, SHOULDERS] for y in (FINGERS - 0.06, FINGERS)]),
     BODY: np.array([[x, y, z] for x in (-DEEP, DEEP) for y in (-0.12, 0.12) for z in (0.5, SHOULDERS)]),
 }
+
+
+def pitch_of(voxels_world: np.ndarray) -> float:
+    """Edge of a voxel, metres: the least distance of two layers."""
+    layers = np.unique(np.round(voxels_world[:, 2], 4))
+    return float(np.diff(layers).min()) if len(layers) > 1 else 0.0
+
+
+def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:
+    """Return about where a body stands, whatever its hull lacks: on the map's floor unless it is far above.
+
+    The crown is over the body's middle: what is farther off and higher is a raised hand.
+    """
+    floor = float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2
+    floor = 0.0 if -SAGGING_M < floor < FEET_LOST_M else floor
+    place = np.median(voxels_world[:, :2], axis=0)
+    column = np.linalg.norm(voxels_world[:, :2] - place, axis=1) < COLUMN_M
+    high = np.percentile(voxels_world[column if column.any() else slice(None), 2], 100.0 - TRIMMED)
+    stature = max(float(high) + pitch / 2 - floor, 0.5 * TYPICAL_STATURE_M)
+    axis = np.linalg.eigh(np.cov((voxels_world[:, :2] - place).T))[1][:, -1]
+    return Stance(place, np.array([axis[1], -axis[0]]), floor, stature)
 
 
 def at_the_cut(voxels_world: np.ndarray, pitch: float, visibility: RigVisibility) -> np.ndarray:
@@ -118,13 +130,13 @@ def _tip(arms: np.ndarray, outwards: np.ndarray) -> np.ndarray:
 
 def advice_text(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility) -> str:
     """Say in one sentence what is not seen, by which cameras, and where to step or which camera to turn."""
-    names = [_told(part, stance) for part in parts]
-    yours = "you" if parts == (BODY,) else "your " + " and ".join(dict.fromkeys(names))
+    names = dict.fromkeys(part.split()[-1] for part in parts)  # whose front is not known has no left hand
+    yours = "you" if parts == (BODY,) else "your " + " and ".join(names)
     places = stance.places_of() if parts == (BODY,) else np.concatenate([stance.places_of(part) for part in parts])
     inside, seen = visibility.in_volume(places), visibility.seen_by(places)
     blind = [name for name, sees in zip(visibility.names, seen[inside].T, strict=True) if not sees.all()]
     if not inside.all() or not blind:
-        be = "are" if yours == "you" or "feet" in yours or len(set(names)) > 1 else "is"
+        be = "are" if yours == "you" or "feet" in yours or len(names) > 1 else "is"
         what = f"{yours} {be} partly outside the volume"
     else:
         what = f"{_listed(blind)} {'does' if len(blind) == 1 else 'do'} not see {yours}"
@@ -154,21 +166,13 @@ def smallest_translation_into_view(stance: Stance, visibility: RigVisibility) ->
     return None
 
 
-def _told(part: str, stance: Stance) -> str:
-    return HAND if part in HANDS and abs(stance.facing) < SURE_FACING else part
-
-
 def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
 def _said(step: np.ndarray, stance: Stance, visibility: RigVisibility) -> str:
-    """Put a step into words: about where the person faces, or towards a camera when that is not known."""
+    """Put a step into words: towards a camera or away from it."""
     length = float(np.linalg.norm(step))
-    if abs(stance.facing) >= SURE_FACING:
-        forward = stance.forward_world * (1.0 if stance.facing > 0.0 else -1.0)
-        ahead, left = step @ forward, step @ np.array([-forward[1], forward[0]])
-        return f"step {length:.1f} m {WORDS[round(float(np.arctan2(left, ahead)) / (np.pi / 4)) % 8]}"
     ways = [(camera.centre_world[:2] - stance.place_world, camera.name) for camera in visibility.rig.cameras]
     along = {name: float(step @ way / max(np.linalg.norm(way), 1e-6)) for way, name in ways}
     toward, away = max(along, key=along.__getitem__), min(along, key=along.__getitem__)
@@ -180,7 +184,7 @@ def _said(step: np.ndarray, stance: Stance, visibility: RigVisibility) -> str:
 def _turn(stance: Stance, visibility: RigVisibility) -> str:
     """Say which camera to turn so that somebody in the middle of the volume is seen."""
     middle = 0.5 * (visibility.volume.low + visibility.volume.high)[:2]
-    places = stance.moved(middle - stance.place_world).places_of()
+    places = replace(stance, place_world=middle).places_of()
     if not visibility.in_volume(places).all():
         return "the volume is too small for a T-pose"
     missed = (~visibility.seen_by(places)).sum(axis=0)

@@ -15,14 +15,13 @@ import numpy as np
 from capture_rig.kernel import njit
 from stick_figure.body import Body
 from stick_figure.joint_limits import joint_excess
-from stick_figure.least_squares.contour_factor import RayMatch, match_rays
+from stick_figure.least_squares.contour_factor import SLACK_M, RayMatch, match_rays
+from stick_figure.least_squares.contour_factor import SURFACE_GATE_M as GATE_M
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.keypoint_factor import ALL_STICKS, keypoint_support
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
-from ..articulated_fit import CONTOUR_GATE_M as GATE_M
-from ..articulated_fit import CONTOUR_SLACK_M as SLACK_M
 from ..articulated_fit import GUESS, ArticulatedSettings, minimise
 
 PARTS = 5

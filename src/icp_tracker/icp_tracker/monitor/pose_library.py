@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -38,7 +39,6 @@ POSTURES: tuple[tuple[dict[str, float], dict[str, float]], ...] = (
     ({"shoulder_x": -1.2, "hip_y": -1.6, "knee": 1.8}, {"shoulder_x": -1.2, "hip_y": -1.6, "knee": 1.8}),
 )
 """Left and right side: standing, both steps, arms bent, arms forward, T-pose, hands up, squat."""
-OF_NEWCOMERS = 6  # who comes in does one of the first
 
 
 def exchanged(body: Body, pose: Pose, points: list[int]) -> Pose:
@@ -57,24 +57,26 @@ def moved_to(pose: Pose, hull_world: np.ndarray) -> Pose:
     return replace(pose, position_world=np.array([x, y, pose.position_world[2]]))
 
 
-def natural_poses(body: Body, place_world: np.ndarray, crown_world: float, postures: int) -> list[Pose]:
-    """Return the first ``postures`` at every heading, the trunk above a place (2,) m and the head at a height, m."""
+def natural_poses(
+    body: Body, place_world: np.ndarray, crown_world: float, postures: Sequence[np.ndarray]
+) -> list[Pose]:
+    """Return postures (18,) at every heading, the trunk above a place (2,) m and the head at a height, m."""
     height = crown_world - body.half_lengths[0] - body.lengths[HEAD]
     return [
         Pose.from_angles(np.r_[place_world, height], rotation_matrix(np.array([0.0, 0.0, heading])), angles)
         for heading in np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
-        for angles in _ANGLES[:postures]
+        for angles in postures
     ]
 
 
 def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
     """Return every posture at every heading above the middle of the hull (m, 3), its head at the hull's crown."""
     crown = float(np.percentile(hull_world[:, 2], 99.5))
-    return natural_poses(body, np.median(hull_world[:, :2], axis=0), crown, len(POSTURES))
+    return natural_poses(body, np.median(hull_world[:, :2], axis=0), crown, _POSTURES)
 
 
-def _both(left: dict[str, float], right: dict[str, float]) -> np.ndarray:
-    """Return the angles (18,) of a posture."""
+def angles_of_posture(left: Mapping[str, float], right: Mapping[str, float]) -> np.ndarray:
+    """Return the angles (18,) of a posture, given those of each side, rad, that are not the T-pose's."""
     sides = np.tile(T_POSE_ANGLES, (2, 1))
     for angles, side in zip(sides, (left, right), strict=True):
         for name, value in side.items():
@@ -82,7 +84,9 @@ def _both(left: dict[str, float], right: dict[str, float]) -> np.ndarray:
     return angles_of_sides(*sides)
 
 
-_ANGLES = tuple(_both(left, right) for left, right in POSTURES)
+_POSTURES = tuple(angles_of_posture(left, right) for left, right in POSTURES)
+NATURAL_POSTURES = _POSTURES[:5]
+"""Of those who come in."""
 
 
 # --- limbs: directions of the upper limb times flexions of the hinge, within the joints' ranges
@@ -147,10 +151,6 @@ class LimbPoses(NamedTuple):
     def at(self, number: int) -> tuple[np.ndarray, float]:
         """Return one pose."""
         return self.R[number], float(self.flexion[number])
-
-    def with_others(self, others: LimbPoses) -> LimbPoses:
-        """Return these and others."""
-        return LimbPoses(np.concatenate([self.R, others.R]), np.concatenate([self.flexion, others.flexion]))
 
     def part(self, number: int, parts: int) -> LimbPoses:
         """Return every ``parts``-th pose: together the parts are the whole."""

@@ -35,7 +35,6 @@ from .pose_library import LIMB_POINTS, LIMBS, LimbPoses, limb_poses
 # Thresholds: chosen with python bench/recovery.py.
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS: arms are lost more often than legs
-MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
 NOTHING_MOVED, ALL_PARTS = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
 
 
@@ -52,8 +51,7 @@ class TrackAssessment:
     (5,) of the body.
 
     spread (15, 3, 3) m^2 : of where the points of doubtful parts may be about where they are fitted. unseen (15,)
-    bool : points that nothing in the last sets shows. kept : the fitted pose with limbs that jumped for too little
-    where they were expected.
+    bool : points that nothing in the last sets shows.
     """
 
     quality: TrackQuality
@@ -62,7 +60,6 @@ class TrackAssessment:
     moved: tuple[bool, ...] = NOTHING_MOVED
     spread: np.ndarray | None = None
     unseen: np.ndarray | None = None
-    kept: Pose | None = None
 
 
 class TrackMonitor:
@@ -92,23 +89,16 @@ class TrackMonitor:
         pose: Pose,
         data: Data,
         settings: ArticulatedSettings,
-        expected: Pose | None = None,
         matched: RayMatch | None = None,
     ) -> TrackAssessment:
-        """Judge a pose that was fitted to a set's data, and look for a better one.
-
-        ``expected`` : where a good track's motion leads to; None where it is not known. ``matched`` : what the data are
-        matched to in the pose, when that is known.
-        """
+        """Judge a pose that was fitted to a set's data, and look for a better one; ``matched`` : what the data are
+        matched to in the pose, when that is known."""
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         dt_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
         if len(data.contour_rays.information) == 0 or len(data.hull) == 0:
             return TrackAssessment(UNKNOWN)
-        seen, fitted = Observation(dt_s, body, data, settings), pose
-        jumped: dict[int, LimbPoses] = {}
-        if expected is not None and self._settings.search:
-            pose, jumped = _without_jumps(seen, pose, expected)
-        evidence = seen.evidence_of(pose, matched if pose is fitted else None)
+        seen = Observation(dt_s, body, data, settings)
+        evidence = seen.evidence_of(pose, matched)
         quality = self._body.judge(evidence, dt_s)
         if quality.state == LOST:
             self.mark_lost()
@@ -116,16 +106,13 @@ class TrackMonitor:
             return TrackAssessment(quality)
         turns = range(self._turn, self._turn + min(max(round(dt_s * LOOKS_HZ), 1), LOOKS_A_SET))
         self._turn = turns.stop
-        self._update_limbs(seen, pose, evidence, turns, jumped)
+        self._update_limbs(seen, pose, evidence, turns)
         quality = self._with_limbs(quality)
         self._body.mark_set(pose, quality, dt_s)
         found = self._changed_body(seen, pose, evidence, quality, turns) or self._changed_limb(seen, pose, evidence)
         if found is None:
             quality = self._body.with_other(quality)
-            kept = None if pose is fitted else pose
-            found = TrackAssessment(
-                quality, spread=self._spread(seen, pose, quality), unseen=self._unseen_points(), kept=kept
-            )
+            found = TrackAssessment(quality, spread=self._spread(seen, pose, quality), unseen=self._unseen_points())
         return replace(found, quality=self._body.with_misfit(found.quality))
 
     def _changed_body(
@@ -144,9 +131,7 @@ class TrackMonitor:
 
     # --- what is believed of each limb --------------------------------------------------------------------------------
 
-    def _update_limbs(
-        self, seen: Observation, pose: Pose, evidence: Evidence, turns: range, jumped: dict[int, LimbPoses]
-    ) -> None:
+    def _update_limbs(self, seen: Observation, pose: Pose, evidence: Evidence, turns: range) -> None:
         """Rate other places of the limbs: those that are followed, and a part of the library of one limb a turn."""
         self._hidden = seen.data.unseen.at(forward(seen.body, pose))[LIMB_POINTS].any(axis=1)
         searched = {self._limb_of(turn) for turn in turns}
@@ -156,8 +141,6 @@ class TrackMonitor:
                 self._looks[number] += 1
                 library = limb_poses(limb).part(self._looks[number], limb.parts)
             known = NO_POSES if before is None else before.places.poses
-            if number in jumped:
-                known = known.with_others(jumped[number])
             places = other_places(Figure.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
             self._beliefs[number] = LimbBelief.after(before, places, seen.dt_s, bool(self._hidden[number]))
 
@@ -240,27 +223,6 @@ class TrackMonitor:
                 limb_filter.UNSEEN_SD_M** 2 * np.eye(3)
             )
         return spread
-
-
-def reach_m(dt_s: float) -> float:
-    """Return how far (m) from its expected place motion brings a point, ``dt_s`` after it was last seen."""
-    return NEAR_M + 0.5 * MOST_M_S2 * dt_s * dt_s
-
-
-def _without_jumps(seen: Observation, pose: Pose, expected: Pose) -> tuple[Pose, dict[int, LimbPoses]]:
-    """Return the pose with each limb that jumped farther than limbs move where it was expected, if the hull holds it
-    there, and where such limbs, by number, jumped to: a hypothesis like any other place."""
-    on_trunk = replace(pose, R_joints=expected.R_joints, hinges=expected.hinges)
-    offsets = forward(seen.body, pose) - forward(seen.body, on_trunk)
-    innovations = np.linalg.norm(offsets, axis=1)[LIMB_POINTS].max(axis=1)
-    jumped, fitted = dict[int, LimbPoses](), pose
-    for number in np.flatnonzero(innovations > reach_m(seen.dt_s)).tolist():
-        limb = LIMBS[number]
-        there = other_places(Figure.of(seen.body), pose, limb, seen.data, NO_POSES, LimbPoses.of(expected, limb))
-        if len(there.margins) and there.margins[0] > limb_filter.PLACE_LOG_PRIOR:
-            pose = with_limb(pose, limb, *there.poses.at(0))
-            jumped[number] = LimbPoses.of(fitted, limb)
-    return pose, jumped
 
 
 def _in_words(belief: LimbBelief) -> str:

@@ -16,7 +16,7 @@ from stick_figure.least_squares.placed_figure import Figure, place
 from .evidence import GATE_M, SLACK_M, ray_cost
 
 # Thresholds: measured by python bench/recovery.py.
-COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
+COARSE_GATE_M = 2.0 * GATE_M  # the library is coarse: an elbow may be 80 mm off
 EXPLAINED_BY_BODY_M = 0.03  # data closer than this to the rest of the body are explained already
 
 

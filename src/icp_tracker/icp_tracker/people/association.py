@@ -18,12 +18,12 @@ import numpy as np
 from capture_rig.rig import FARTHEST_M
 from mocap_packets.hull import REACH_M, HullProducts
 from stick_figure.body import Body
-from stick_figure.least_squares.contour_factor import match_rays
+from stick_figure.least_squares.contour_factor import SLACK_M, match_rays
 from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
 from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
 from stick_figure.pose import Pose
 
-from ..articulated_fit import CONTOUR_SLACK_M, ray_arrays
+from ..articulated_fit import ray_arrays
 from ..monitor.evidence import EXPLAINED_M as GRAZED_M
 
 NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
@@ -168,7 +168,7 @@ class _Distances(NamedTuple):
     @classmethod
     def of(cls, seen: HullProducts, placed: PlacedFigure) -> _Distances:
         rays = seen.contour_rays
-        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, CONTOUR_SLACK_M).separation
+        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, SLACK_M).separation
         points = np.ascontiguousarray(seen.voxels.points_world)
         line = np.ascontiguousarray(seen.centerline.points_world)
         return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], separation)

@@ -23,7 +23,6 @@ from stick_figure.body import Body
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
 from ..acquisition.pose_source import HULL_SOURCES
-from ..acquisition.upright import reasons_of_bodies
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from ..monitor.evidence import SAME_M
 from ..settings import MOST_PERSONS, IcpNodeSettings
@@ -251,8 +250,7 @@ class PeopleTracker:
                 fit = self._admit(part, fit)
                 found[fit.person] = fit
         if FIRST_PERSON not in fits and FIRST_PERSON not in found:
-            fit = fits_nothing(seen.stamp_ns, reasons_of_bodies(self._reasons))
-            found[FIRST_PERSON] = fit
+            found[FIRST_PERSON] = fits_nothing(seen.stamp_ns, _reason_of_all(self._reasons))
         if not self._persons and not self._newcomers:
             self._newcomers = {NO_PART: self._make()}
         return found
@@ -289,7 +287,7 @@ class PeopleTracker:
         for number in self._away_like(tracker):
             known = self._persons[number]
             assert tracker.pose is not None
-            known.tracker.move_to(fit.stamp_ns, tracker.pose)
+            known.tracker.move_to(tracker.pose)
             known.away, known.seen_ns = False, fit.stamp_ns
             return replace(fit, person=number, recovered="somebody of this person's sizes")
         number = max(self._persons, default=0) + 1
@@ -334,8 +332,8 @@ class PeopleTracker:
         one, other = self._persons[first], self._persons[second]
         assert one.tracker.pose is not None and other.tracker.pose is not None
         poses = other.tracker.pose, one.tracker.pose
-        one.tracker.move_to(stamp_ns, poses[0])
-        other.tracker.move_to(stamp_ns, poses[1])
+        one.tracker.move_to(poses[0])
+        other.tracker.move_to(poses[1])
         one.away, other.away = other.away, one.away
         one.seen_ns, other.seen_ns = other.seen_ns, one.seen_ns
         exchanged = dict(fits)
@@ -347,6 +345,13 @@ class PeopleTracker:
         if FIRST_PERSON not in exchanged:
             exchanged[FIRST_PERSON] = fits_nothing(stamp_ns, "taken for somebody else")
         return exchanged
+
+
+def _reason_of_all(reasons: Mapping[int, str]) -> str:
+    """Return one sentence for the reasons by which each body, by its number, is nobody yet."""
+    if len(reasons) == 1:
+        return next(iter(reasons.values()))
+    return "; ".join(f"body {number}: {reason}" for number, reason in sorted(reasons.items())) or "no hull"
 
 
 def _size_of(seen: HullProducts, part: int) -> int:

@@ -15,7 +15,6 @@ import numpy as np
 from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
-from stick_figure.joint_limits import LIMIT_SD_RAD
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.free_ends import TURN_SD
 from stick_figure.least_squares.independent_rows import SURFACE_SD_M
@@ -23,7 +22,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
 from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
-from ..articulated_fit import NECK_PITCH, NECK_SD, PRIOR
+from ..articulated_fit import PRIOR
 from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
 from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
@@ -92,7 +91,7 @@ class BodyRefiner:
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
         bends, ends = (max(bend, STIFF) * REST_SD) ** -2, max(turn_sd, STIFF) ** -2
-        self._pose_prior = PosePrior(PRIOR, bends, NECK_SD**-2, NECK_PITCH, LIMIT_SD_RAD**-2, ends)
+        self._pose_prior = PosePrior(PRIOR, bends, ends)
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
         self._model, self._values = ShapeArrays.of(self._prior.mean), self._prior.mean.copy()

@@ -14,8 +14,8 @@ from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive, solve_positive_columns
 from stick_figure import kernels
 from stick_figure.body import BEND_NUMBERS
-from stick_figure.joint_limits import add_joint_limits, add_neck_rest
-from stick_figure.least_squares.contour_factor import bent_figure
+from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD, add_joint_limits, add_neck_rest
+from stick_figure.least_squares.contour_factor import SLACK_M, bent_figure
 from stick_figure.least_squares.free_ends import ANGLES, COUNT, LARGEST_TURN, straight_ends, turn_ends
 from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
 from stick_figure.least_squares.placed_figure import State, place
@@ -23,7 +23,7 @@ from stick_figure.least_squares.placed_figure import State, place
 from .shape import BENT, POSE, UNKNOWNS, contour_system, figure_at
 
 # Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION.
-GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
+GATE_M, EXPLAINED_M = 0.04, 0.06  # see `contour_system`
 FIRST_JOINT_SLOT = 6
 
 
@@ -57,14 +57,10 @@ class Keyframes(NamedTuple):
 
 class PosePrior(NamedTuple):
     """What holds a keyframe's pose where its rays do not: information (24,) of the tangent and (7,) of the trunk's bend
-    about rest; of the neck's rest, at ``neck_pitch`` rad, and of the joints' limits (1/rad^2); of the turns of
-    hands and feet about straight."""
+    about rest; of the turns of hands and feet about straight, 1/rad^2."""
 
     information: np.ndarray
     bend: np.ndarray
-    neck: float
-    neck_pitch: float
-    limit: float
     ends: float
 
 
@@ -140,8 +136,8 @@ def _follow_shape(through, change, state, bend, turns):
 def _add_pose_prior(state, prior, own, pull):
     """Add to the pose's equations what is known without rays: scatter, the neck's rest, the joints' limits."""
     known = np.zeros((TANGENT, TANGENT))
-    add_neck_rest(state.RJ[0], prior.neck_pitch, prior.neck, known, pull)
-    add_joint_limits(state.RJ, state.hinges, np.inf, prior.limit, known, pull)
+    add_neck_rest(state.RJ[0], NECK_SD**-2, known, pull)
+    add_joint_limits(state.RJ, state.hinges, np.inf, LIMIT_SD_RAD**-2, known, pull)
     mirror_upper(known)
     own += known
     for i in range(TANGENT):

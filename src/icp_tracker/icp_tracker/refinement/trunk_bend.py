@@ -15,7 +15,7 @@ from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
 from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_derivatives
 
-from ..articulated_fit import CONTOUR_GATE_M, LONGEST_S, PRIOR, ArticulatedSettings
+from ..articulated_fit import LONGEST_S, PRIOR, ArticulatedSettings
 from .shape import FARTHEST_SD
 
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
@@ -56,6 +56,6 @@ class TrunkBend:
         walk = RAYS_OF_A_DATUM / (scale * RATE_SD) ** 2 / max(passed_s, 1e-3)
         state, figure, derivatives = State(*pose.arrays), Figure.of(self.of(body)), bend_derivatives(body.straight)
         known = (PRIOR, rest + walk, -rest * self._bend)
-        step = bend_step(rays, match, state, figure, derivatives, CONTOUR_GATE_M, *known)
+        step = bend_step(rays, match, state, figure, derivatives, *known)
         farthest = FARTHEST_SD * scale * REST_SD
         self._bend, self._bent = np.clip(self._bend + step, -farthest, farthest), None

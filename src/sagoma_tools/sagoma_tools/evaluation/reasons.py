@@ -38,34 +38,32 @@ WAIT = (
 ELSE = "See what the tracker asks for before it begins: docs/tracking.md."
 DOCTOR = "sagoma doctor --session SESSION says what is wrong with footage and rig."
 REMEDIES = (
-    (("watched for", "hold it (", "body seen ("), WAIT),
+    (("watched for", "hold it ("), WAIT),
     (
         ("not see ", "outside the volume", "in the volume is seen", "volume is too small", "beyond what the cameras"),
         "Film where all cameras see the whole person, hands and feet included, inside the volume of rig.yaml; or aim "
         "the cameras so, and calibrate again.",
     ),
     (
-        ("no hull", "nobody in the volume", "hull is too small", "no outlines", "centerline points", "in the hull"),
+        ("no hull", "nobody in the volume", "no outlines", "centerline points"),
         f"See that somebody is in the volume of rig.yaml, and that the backgrounds are of this room; {DOCTOR}",
     ),
     (
-        ("no adult's height", "hull is too large"),
+        ("no adult's height",),
         "See that rig.yaml is in metres with its floor at z = 0, that an adult stands in the volume, and that nothing "
         "hides a part of them from several cameras.",
     ),
     (("alike",), "Walk a step at the beginning, or begin in a T-pose with the feet in view."),
     (
-        ("nobody upright", "not upright", "legs not straight", "first pose explains"),
+        ("nobody upright", "first pose explains"),
         f"Begin with somebody who stands or walks upright, away from furniture; if that is so, {DOCTOR}",
     ),
-    (("bodies", "more than one body"), "Begin with one person in the volume; others may come later."),
-    (("known body", "too far from a T-pose"), "Give this person's body_file, or none; begin near a T-pose."),
     (
         ("explain", "rays", "other poses", "perhaps back"),
         "See how the skeleton lies in the silhouettes (sagoma view): these, or the calibration, are off.",
     ),
     (
-        ("arm", "elbow", "legs", "feet", "stand still", "no head"),
+        ("no T-pose", "stand still"),
         "Begin in a T-pose and hold it for five frame sets; any posture does with initial_pose.source=auto.",
     ),
 )

@@ -46,6 +46,8 @@ HALF_LENGTH, ROWS = 12, 13
 CAPSULE, ALONG, DISTANCE, SEPARATION = range(4)
 IS_END = np.isin(np.arange(CAPSULES), CAPSULE_OF_END)  # which capsules are hands and feet
 POSE_AND_BEND = POSE + BEND_NUMBERS
+SURFACE_GATE_M = 0.06  # of a ray or a voxel from the body's surface, at which its weight has fallen to 1/4
+SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 PARALLEL_M2 = 1e-12  # keeps an axis that the ray sees as a point from dividing by zero
 
 
@@ -118,23 +120,23 @@ def match_at(match, rows):
 
 
 @njit(cache=True)
-def add_contour(rays, match, placed, weights, ends, H, g):
-    """Add every ray's distance from the capsule that it was matched to to upper H and g, Geman-McClure; hands and feet
-    turn freely."""
+def add_contour(rays, match, placed, gate, ends, H, g):
+    """Add every ray's distance from the capsule that it was matched to to upper H and g, Geman-McClure with a ``gate``,
+    m; hands and feet turn freely."""
     if rays.information.shape[0] == 0:
         return
     sums = no_sums(placed.P.shape[0], ENDS)
-    sum_rays(rays, match, weights.contour_gate, sums)
+    sum_rays(rays, match, gate, sums)
     _add_free_ends(sums, placed, ends, H, g)
     add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True)
-def look_at_ends(rays, match, placed, weights, ends):
+def look_at_ends(rays, match, placed, ends):
     """Let hands and feet that turn freely follow the rays that were matched to them, the pose as it is."""
     own = np.flatnonzero(IS_END[match.capsule])
     sums = no_sums(placed.P.shape[0], ENDS)
-    sum_rays(rays_at(rays, own), match_at(match, own), weights.contour_gate, sums)
+    sum_rays(rays_at(rays, own), match_at(match, own), SURFACE_GATE_M, sums)
     _add_free_ends(sums, placed, ends, np.zeros((POSE, POSE)), np.zeros(POSE))
 
 
@@ -250,16 +252,16 @@ def match_capsule(k, start, end, r0, dr, slack, rows, best):
 
 
 @njit(cache=True, nogil=True)
-def bend_step(rays, match, state, figure, derivatives, gate, pose_information, information, pull):
+def bend_step(rays, match, state, figure, derivatives, pose_information, information, pull):
     """Return the step (7,) of the bend that lessens the rays' distances from the capsules that they were matched to.
 
-    ``gate`` : of the rays, m. pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are
-    those of what is known of the bend without rays.
+    pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are those of what is known of the
+    bend without rays.
     """
     H, g = np.zeros((POSE_AND_BEND, POSE_AND_BEND)), np.zeros(POSE_AND_BEND)
     placed = place(state, figure)
     sums = no_sums(placed.P.shape[0], ENDS)
-    sum_rays(rays, match, gate, sums)
+    sum_rays(rays, match, SURFACE_GATE_M, sums)
     for k in CAPSULE_OF_END:
         sums.pulls[k] = 0.0
     wide = CHAIN_COLUMNS + BEND_NUMBERS

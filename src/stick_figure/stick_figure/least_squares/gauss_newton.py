@@ -17,6 +17,8 @@ from capture_rig.visibility import UnseenCells
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
 from .contour_factor import (
+    SLACK_M,
+    SURFACE_GATE_M,
     RayArrays,
     add_contour,
     best_of_all,
@@ -33,6 +35,11 @@ from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_point_residuals, add_surface, match_points, summarise
 
+# Thresholds: chosen with python bench/people.py --ablation SESSION, in steps of about a half.
+TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
+# weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
+# to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
+OVERCOUNTED = 30.0
 LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 
 
@@ -52,24 +59,17 @@ class Data(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """How much each term counts: information in 1/m^2 or 1/rad^2 (zero switches it off), gates and floors in m.
+    """How much each term counts: information in 1/m^2 or 1/rad^2; zero switches it off.
 
-    prior (24,) : of the tangent slots about the start. voxel_tight : m, excess of the hull over the body at which the
-    surface voxels count half. neck_pitch : rad, the head's rest forward of the torso's axis.
-    ends : of hands and feet about straight, 0 holds them there. keypoint : how often a detection's information counts.
+    prior (24,) : of the tangent slots about the start. neck, limit : of the neck's rest and of the joints' limits.
+    ends : of hands and feet about straight, 0 holds them there.
     """
 
     prior: np.ndarray
     voxel: float
-    voxel_gate: float
-    voxel_tight: float
-    contour_gate: float
-    contour_slack: float
     neck: float
-    neck_pitch: float
     limit: float
     ends: float
-    keypoint: float
 
 
 class Stop(NamedTuple):
@@ -81,65 +81,42 @@ class Stop(NamedTuple):
     hinge_margin: float
 
 
-class Scale(NamedTuple):
-    """What turns information into covariance.
-
-    unseen : (24,) information about what no row bears on. Without contour rays: share of their weight with which voxels
-    count, and how many data carry the information of one independent datum.
-    """
-
-    unseen: np.ndarray
-    voxel_share: float
-    correlation: float
-
-
 @njit(cache=True, nogil=True)
-def assess(data, state, figure, weights, scale):
+def assess(data, state, figure, weights, unseen):
     """Evaluate the data at a state: how well it explains them, and how well they determine it.
 
-    Returns reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of the independent rows where there are
-    contour rays; inliers a stick (10,) and their root mean square distance (m); surface voxels near each stick's
-    surface (10,); what rays were matched to.
+    unseen : (24,) information about what no row bears on. Returns reference points (15, 3) m and their covariance
+    (15, 3, 3) m^2, that of the independent rows; inliers a stick (10,) and their root mean square distance (m); surface
+    voxels near each stick's surface (10,); what rays were matched to.
     """
     placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
-    nearest = surface_distances(data.voxels, placed)
-    capsule, _, distance = nearest
+    capsule, _, distance = surface_distances(data.voxels, placed)
     for i in range(distance.shape[0]):
-        if abs(distance[i]) < weights.voxel_gate:
+        if abs(distance[i]) < SURFACE_GATE_M:
             near[placed.surface.stick[capsule[i]]] += 1
-    best = best_of_all(data.contour_rays, placed, weights.contour_slack)
-    matched = ray_match(best)
-    if data.contour_rays.information.shape[0] > 0:
-        rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
-        match, independent = match_points(data, placed), np.diag(scale.unseen)
-        total, _, _ = summarise(match, counts)
-        add_independent_rows(data, placed, weights, rays_match, match, independent)
-        add_keypoints(data.keypoints, placed, 1.0, independent, np.empty(TANGENT))
-        mirror_upper(independent)
-        covariance = point_covariances(independent, placed, 1.0)
-    else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
-        H, g, ends = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), straight_ends(weights.ends)
-        voxel = scale.voxel_share * loose_hull_weight(weights, distance)
-        match = linearise(data, matched, nearest, placed, weights, voxel, ends, H, g)
-        mirror_upper(H)
-        total, chi2, freedom = summarise(match, counts)
-        spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
-        covariance = point_covariances(H + np.diag(weights.prior), placed, spread)
-    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, matched
+    best = best_of_all(data.contour_rays, placed, SLACK_M)
+    rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
+    match, independent = match_points(data, placed), np.diag(unseen)
+    total = summarise(match, counts)
+    add_independent_rows(data, placed, rays_match, match, independent)
+    add_keypoints(data.keypoints, placed, 1.0, independent, np.empty(TANGENT))
+    mirror_upper(independent)
+    covariance = point_covariances(independent, placed)
+    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, ray_match(best)
 
 
 @njit(cache=True)
 def _with_ends_turned(rays, best, state, figure, placed, weights):
     """Return the match of the rays, and the figure with hands and feet turned to where they want them, the pose as it
     is; ``placed`` : with both straight, ``best`` (4, n) of its capsules."""
-    ends, slack = straight_ends(weights.ends), weights.contour_slack
-    stiff = best_of_stiff(rays, placed, slack, best)
+    ends = straight_ends(weights.ends)
+    stiff = best_of_stiff(rays, placed, SLACK_M, best)
     for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
-        look_at_ends(rays, match_turned(rays, placed, slack, stiff), placed, weights, ends)
+        look_at_ends(rays, match_turned(rays, placed, SLACK_M, stiff), placed, ends)
         follow(ends, np.zeros(TANGENT), 1.0)
         placed = place(state, figure)
         turn_ends(ends, placed)
-    return match_turned(rays, placed, slack, stiff), placed
+    return match_turned(rays, placed, SLACK_M, stiff), placed
 
 
 @njit(cache=True)
@@ -152,7 +129,7 @@ def loose_hull_weight(weights, distance):
     if weights.voxel == 0.0:
         return 0.0
     excess = max(np.median(distance), 0.0)
-    return weights.voxel / (1.0 + (excess / weights.voxel_tight) ** 4.0)
+    return weights.voxel / (1.0 + (excess / TIGHT_M) ** 4.0)
 
 
 @njit(cache=True, nogil=True)
@@ -171,7 +148,7 @@ def minimise(data, state, figure, weights, stop):
         nearest = surface_distances(data.voxels, placed)
         if iteration == 0:
             voxel = loose_hull_weight(weights, nearest[2])
-        rays_match = match_rays(data.contour_rays, placed, weights.contour_slack)
+        rays_match = match_rays(data.contour_rays, placed, SLACK_M)
         linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g)
         regularise(start, placed, weights, H, g)
         mirror_upper(H)
@@ -191,16 +168,14 @@ def minimise(data, state, figure, weights, stop):
 @njit(cache=True, nogil=True)
 def linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g):
     """Overwrite upper H and g with what the data say about the pose, rays and voxels (``nearest``) with what they were
-    matched to; ``voxel`` : weight of a voxel, 1/m^2. Returns the points' match."""
+    matched to; ``voxel`` : weight of a voxel, 1/m^2."""
     H[:] = 0.0
     g[:] = 0.0
-    match = match_points(data, placed)
-    add_point_residuals(data.points, match, placed, H, g)
+    add_point_residuals(data.points, match_points(data, placed), placed, H, g)
     if voxel != 0.0:
-        add_surface(data.voxels, nearest, placed, voxel, weights.voxel_gate, H, g)
-    add_contour(data.contour_rays, rays_match, placed, weights, ends, H, g)
-    add_keypoints(data.keypoints, placed, weights.keypoint, H, g)
-    return match
+        add_surface(data.voxels, nearest, placed, voxel, SURFACE_GATE_M, H, g)
+    add_contour(data.contour_rays, rays_match, placed, SURFACE_GATE_M, ends, H, g)
+    add_keypoints(data.keypoints, placed, OVERCOUNTED, H, g)
 
 
 @njit(cache=True)
@@ -212,5 +187,5 @@ def regularise(start, placed, weights, H, g):
     for k in range(TANGENT):
         H[k, k] += weights.prior[k]
         g[k] += weights.prior[k] * back[k]
-    add_neck_rest(placed.RJ[0], weights.neck_pitch, weights.neck, H, g)
+    add_neck_rest(placed.RJ[0], weights.neck, H, g)
     add_joint_limits(placed.RJ, placed.hinges, np.inf, weights.limit, H, g)

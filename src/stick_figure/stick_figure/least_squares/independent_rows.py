@@ -22,7 +22,7 @@ import numpy as np
 
 from capture_rig.kernel import njit
 
-from .contour_factor import NORMAL
+from .contour_factor import NORMAL, SURFACE_GATE_M
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 from .placed_figure import STICKS
 from .point_factor import add_point_residuals
@@ -36,25 +36,25 @@ PRIOR_CELLS = 4.0  # that this counts as against the measured ones: a limb shows
 
 
 @njit(cache=True, nogil=True)
-def add_independent_rows(data, placed, weights, rays_match, points_match, H):
+def add_independent_rows(data, placed, rays_match, points_match, H):
     """Add to upper H the information of the independent ones among rays and points, with what they were matched to."""
     g = np.empty(H.shape[0])
-    _add_cells(data.contour_rays, rays_match, placed, weights.contour_gate, H, g)
+    _add_cells(data.contour_rays, rays_match, placed, H, g)
     _add_stick_halves(data, placed, points_match, H, g)
 
 
 @njit(cache=True)
-def _add_cells(rays, match, placed, gate, H, g):
+def _add_cells(rays, match, placed, H, g):
     n, capsules = rays.information.shape[0], placed.P.shape[0]
     cell, weight = np.empty(n, np.int64), np.empty(n)
     total, count, squares = np.zeros(capsules * CELLS), np.zeros(capsules * CELLS), np.zeros(capsules * CELLS)
     for i in range(n):
         c = cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)
-        ratio = 1.0 + (match.separation[i] / gate) ** 2
+        ratio = 1.0 + (match.separation[i] / SURFACE_GATE_M) ** 2
         cell[i], weight[i] = c, 1.0 / (ratio * ratio)
         total[c] += weight[i]
         count[c] += 1.0
-        squares[c] += min(match.separation[i], gate) ** 2
+        squares[c] += min(match.separation[i], SURFACE_GATE_M) ** 2
     information = _information_of_a_datum(count, squares, placed.surface.stick)
     for i in range(n):
         share = weight[i] / max(total[cell[i]], 1.0)

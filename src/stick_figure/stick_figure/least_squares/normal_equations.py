@@ -227,8 +227,8 @@ def mirror_upper(H):
 
 
 @njit(cache=True)
-def point_covariances(information, placed, scale):
-    """Return ``scale`` J information^-1 J^T of the 15 reference points, (15, 3, 3) m^2, world frame."""
+def point_covariances(information, placed):
+    """Return J information^-1 J^T of the 15 reference points, (15, 3, 3) m^2, world frame."""
     points, S = reference_points(placed), inverse_positive(information)
     covariance = np.empty((POINTS, 3, 3))
     J, slots = np.empty((3, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
@@ -242,6 +242,6 @@ def point_covariances(information, placed, scale):
                 for k in range(n):
                     for m in range(n):
                         s += J[p, k] * S[slots[k], slots[m]] * J[q, m]
-                covariance[i, p, q] = scale * s
-                covariance[i, q, p] = scale * s
+                covariance[i, p, q] = s
+                covariance[i, q, p] = s
     return covariance

@@ -62,21 +62,14 @@ def robust_weights(data, match):
 
 @kernel
 def summarise(match, counts):
-    """Count the inliers of each stick into ``counts`` (10,).
-
-    Returns their square sum (m^2), weighted square sum, and degrees of freedom: a foot inside a stick slides, so its
-    residual has two; a clamped one has three.
-    """
-    total, chi2, freedom = 0.0, 0.0, 0.0
+    """Count the inliers of each stick into ``counts`` (10,); returns the sum of their squared distances, m^2."""
+    total = 0.0
     counts[:] = 0
     for i in range(match.stick.shape[0]):
-        if not match.inlier[i]:
-            continue
-        counts[match.stick[i]] += 1
-        total += match.squared[i]
-        chi2 += match.weight[i] * match.squared[i]
-        freedom += 2.0 if 0.0 < match.along[i] < 1.0 else 3.0
-    return total, chi2, freedom
+        if match.inlier[i]:
+            counts[match.stick[i]] += 1
+            total += match.squared[i]
+    return total
 
 
 # --- residuals and their derivatives

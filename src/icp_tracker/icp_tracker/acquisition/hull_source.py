@@ -1,0 +1,293 @@
+"""The first pose of somebody in the hull: several hypotheses are tracked until one is clearly the best.
+
+A body of average proportions, as tall as the hull, is fitted from natural postures at every heading, the T-pose among
+them; where it explains too little, a stouter or a slimmer one takes its place if that explains more. The best fits are
+followed from set to set, through gaps; each costs what outlines, by their certainty, hull and joint limits say against
+it (``monitor/evidence.py``). What a single hull leaves open, front or back above all, time decides: knees and elbows
+bend one way, toes lie ahead of the ankles, and whoever walks walks forwards.
+
+Whoever holds a T-pose, arms and legs within some degrees of one, is followed after a few sets, anybody else after a
+second. Lengths start as people's proportions with their spread (``body_sizes``), which the outlines of a T-pose narrow
+at once; they are learnt while the person moves (``refinement/``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.rigid import rotation_matrix
+from capture_rig.settings import setting
+from capture_rig.stamps import NS_PER_S
+from capture_rig.visibility import RigVisibility
+from mocap_packets.fit import GONE_AFTER_S
+from mocap_packets.hull import HullProducts
+from stick_figure.body import Body
+from stick_figure.body_surface import build_of_girth
+from stick_figure.kinematics import farthest_apart_m, forward
+from stick_figure.pose import Pose
+
+from ..articulated_fit import GUESS, ArticulatedSettings, make_data, rays_in_use
+from ..monitor.evidence import SAME_M
+from ..monitor.pose_library import (
+    NATURAL_POSTURES,
+    WITH_ARMS,
+    WITH_LEGS,
+    WITH_SIDES,
+    angles_of_posture,
+    exchanged,
+    natural_poses,
+    turned_around,
+)
+from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
+from .initial_pose import InitialPose
+from .pose_hypothesis import T_POSE_RAD, PoseHypothesis, Sight, farthest_stick
+from .t_pose_sizes import with_t_pose
+from .truncation import FEET, HEAD, TYPICAL_STATURE_M, Stance, advice_text, cut_parts, pitch_of, stance_of
+
+# Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
+# right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
+# times: judgement.
+FEWEST_VOXELS = 200
+FIRST_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
+HYPOTHESES = 5  # hypotheses that are followed
+LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
+PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
+BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
+FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
+SURE_SHARE = 0.03  # so much more of the outlines a pose must explain than any that faces elsewhere
+GIRTHS, LITTLE_SHARE = (1.0, 1.3, 0.8), 0.7  # over the average: tried where a body of average girth explains less
+BETTER_SHARE = 0.02  # another girth that explains so much more is right
+LEAST_AGREEMENT = 0.5  # of outlines and body: in clutter, torn outlines are no body's, but then all of it is seen
+STILL_M = 0.03  # way of somebody who stands still, over the sets of a T-pose
+LEVEL, LOWERED = "level", "lowered"
+
+
+@dataclass(frozen=True)
+class TPoseSettings:
+    """What counts as a T-pose."""
+
+    arms: str = setting(
+        LEVEL,
+        "the pose that is asked for: arms level sideways (T-pose) or lowered by 45 degrees (A-pose)",
+        choices=(LEVEL, LOWERED),
+    )
+    stature_low_m: float = setting(1.2, "least stature", unit="m", low=0.5, high=2.6)
+    stature_high_m: float = setting(2.2, "largest stature", unit="m", low=0.5, high=2.6)
+    hold_sets: int = setting(5, "frame sets in a row that must show the pose", low=1, high=1000)
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """A first pose without a T-pose, of somebody who moves about."""
+
+    watch_s: float = setting(
+        1.0, "a person without a T-pose is watched for so long before being followed", unit="s", low=0.0, high=60.0
+    )
+
+
+class HullSource:
+    """A first pose of one body, once one hypothesis of some sets in a row is clearly best."""
+
+    def __init__(
+        self,
+        t_pose: TPoseSettings,
+        motion: MotionSettings | None,
+        visibility: RigVisibility | None = None,
+        known: Body | None = None,
+    ) -> None:
+        """motion : None: of a T-pose alone. visibility : of the rig; None: everything is seen. known : whose it is."""
+        self._t_pose, self._motion, self._visibility, self._known = t_pose, motion, visibility, known
+        lowered = {} if t_pose.arms == LEVEL else {"shoulder_x": -np.pi / 4}
+        self._asked = angles_of_posture(lowered, lowered)
+        self._settings = ArticulatedSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was watched."""
+        self._girth, self._girth_is_known, self._last_ns = 0, False, 0
+        self._watch_anew()
+
+    def _watch_anew(self) -> None:
+        """Forget the hypotheses, not which girths have been tried."""
+        self._followed: list[PoseHypothesis] = []
+        self._heights: list[float] = []
+        self._began_ns = self._looked_ns = 0
+        self._held: list[np.ndarray] = []  # where the trunk was in the sets in a row that showed a T-pose
+        self._estimate: BodyEstimate | None = None
+
+    def find_pose(self, seen: HullProducts) -> InitialPose:
+        """Return the pose of the best hypothesis once it is clear, or why it is not."""
+        voxels = seen.voxels.points_world
+        if not 0 <= seen.stamp_ns - self._last_ns <= GONE_AFTER_S * NS_PER_S:
+            self.reset()
+        if len(voxels) < FEWEST_VOXELS:
+            self._held = []
+            return InitialPose(reason="no hull")
+        pitch = pitch_of(voxels)
+        stance = stance_of(voxels, pitch)
+        cut = () if self._visibility is None else cut_parts(voxels, stance, pitch, self._visibility)
+        body = self._body(stance, cut)
+        if body is None:
+            return InitialPose(reason=f"no adult's height: {stance.stature:.2f} m")
+        line, rays = seen.centerline, seen.contour_rays
+        data = make_data(line.points_world, line.sigma, seen.voxels, self._settings, rays, self._visibility)
+        if len(data.contour_rays.information) == 0:
+            return InitialPose(reason="no outlines")
+        cameras = rays_in_use(rays, self._visibility).camera
+        sight = Sight(body, data, cameras, voxels, pitch, stance, cut, self._visibility)
+        step_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
+        self._follow(sight, step_s)
+        if not self._followed:
+            self._began_ns = seen.stamp_ns
+        if not self._followed or seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
+            self._looked_ns = seen.stamp_ns
+            self._look(sight)
+        return self._answer(sight, (seen.stamp_ns - self._began_ns) / NS_PER_S)
+
+    # --- the body
+
+    def _body(self, stance: Stance, cut: tuple[str, ...]) -> Body | None:
+        """Return a body of average proportions, as tall as this one has been; None for a height that nobody has."""
+        low, high = self._t_pose.stature_low_m, self._t_pose.stature_high_m
+        if self._known is not None:
+            return self._known if stance.stature > 0.75 * self._known.stature else None
+        if HEAD in cut:
+            height, sd = max(stance.stature, TYPICAL_STATURE_M), STATURE_SPREAD_M
+        else:
+            height, sd = stance.stature, FLOOR_SD_M if FEET in cut else BENT_WALK_SD_M
+        if not 0.75 * low <= height <= high:
+            return None
+        self._heights.append(height)
+        stature = max(float(np.percentile(self._heights, 80.0)), low)
+        if self._estimate is None or abs(self._estimate.stature - stature) > 0.005:
+            self._estimate = sizes_of_stature(stature, sd)
+        body, girth = self._estimate.body, GIRTHS[self._girth]
+        return body if girth == 1.0 else replace(body, build=build_of_girth(girth))
+
+    # --- the hypotheses
+
+    def _look(self, seen: Sight) -> None:
+        """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
+        body, stance = seen.body, seen.stance
+        crown, postures = stance.floor_world + body.stature, (*NATURAL_POSTURES, self._asked)
+        guesses = natural_poses(body, stance.place_world, crown, postures)
+        free = replace(self._settings, prior=GUESS, max_iterations=FIRST_ITERATIONS)
+
+        def cost(pose: Pose) -> float:
+            return seen.evidence_of(pose).cost
+
+        fitted = sorted((seen.fitted(pose, free) for pose in sorted(guesses, key=cost)[:STARTS]), key=cost)
+        best = fitted[0]
+        others = [exchanged(body, best, WITH_SIDES), turned_around(best)]
+        if self._followed:  # legs and arms that passed each other
+            others += [exchanged(body, self._followed[0].pose, limbs) for limbs in (WITH_LEGS, WITH_ARMS)]
+        ahead = np.arctan2(*stance.forward_world[::-1])
+        asked = Pose.from_angles(best.position_world, rotation_matrix(np.array([0.0, 0.0, ahead])), self._asked)
+        held = (seen.fitted(pose, self._settings) for pose in (asked, turned_around(asked)))
+        free_ones = (best, *(seen.fitted(pose, free) for pose in others), *fitted[1:])
+        for hypothesis in [PoseHypothesis(pose, self._asked) for pose in held] + [*map(PoseHypothesis, free_ones)]:
+            if self._is_new(body, hypothesis.pose):
+                self._followed.append(hypothesis)
+                hypothesis.add(seen)
+        self._keep_the_best()
+
+    def _keep_the_best(self) -> None:
+        """Keep as many hypotheses as can be followed, the best first, one that faces elsewhere among them."""
+        self._followed.sort(key=lambda hypothesis: hypothesis.mean_cost)
+        best, rest = self._followed[0], self._followed[HYPOTHESES:]
+        elsewhere = [other for other in rest if best.faces_elsewhere(other)]
+        del self._followed[HYPOTHESES:]
+        if elsewhere and not any(best.faces_elsewhere(other) for other in self._followed):
+            self._followed[-1] = elsewhere[0]
+
+    def _is_new(self, body: Body, pose: Pose) -> bool:
+        return all(farthest_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
+
+    def _follow(self, seen: Sight, step_s: float) -> None:
+        """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
+        followed, self._followed = self._followed, []
+        for hypothesis in followed:
+            hypothesis.follow(seen, step_s, self._settings)
+        for hypothesis in sorted(followed, key=lambda one: one.mean_cost):
+            if self._is_new(seen.body, hypothesis.pose):
+                self._followed.append(hypothesis)
+
+    # --- the decision
+
+    def _answer(self, seen: Sight, watched_s: float) -> InitialPose:
+        """Return the best hypothesis if it was watched, or holds a T-pose, explains enough, and no rival faces
+        elsewhere."""
+        best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
+        amiss = self._hold(seen, best.pose)
+        held = len(self._held)
+        if seen.cut and self._visibility is not None:
+            told = advice_text(seen.cut, seen.stance, self._visibility)
+        elif held:
+            told = f"T-pose seen, hold it ({held} of {needed})"
+        elif self._motion is None:
+            told = amiss
+        else:
+            told = f"somebody is here: watched for {min(watched_s, watch_s):.1f} of {watch_s:.1f} s"
+        half = 2 * held >= needed or 2.0 * watched_s >= watch_s
+        if half and not self._girth_is_known and self._known is None:
+            self._girth_is_known = True
+            if best.mean_share < LITTLE_SHARE:
+                self._try_girths(seen)
+        patience_s = max(PATIENT_S, watch_s) if HEAD in seen.cut or FEET in seen.cut else watch_s
+        if held < needed and (self._motion is None or watched_s < patience_s):
+            return InitialPose(reason=told)
+        if best.agreement < LEAST_AGREEMENT:
+            too_little = f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
+            self._girth, self._girth_is_known = 0, False
+            self._watch_anew()
+            return InitialPose(reason=told if seen.cut else too_little)  # cut, the stature may be wrong, too
+        elsewhere = [other.mean_cost for other in self._followed if best.faces_elsewhere(other)]
+        seldom = 2 * best.sets < max(other.sets for other in self._followed)
+        if seldom or min(elsewhere, default=np.inf) - best.mean_cost < SURE_SHARE:
+            if watched_s > 4.0 * watch_s:
+                self._watch_anew()
+            return InitialPose(reason=told if seen.cut else "front and back look alike: walk a step")
+        body, estimate = seen.body, self._estimate
+        if held >= needed and estimate is not None:
+            floor = np.array([0.0, 0.0, seen.stance.floor_world])
+            estimate = with_t_pose(estimate, forward(body, best.pose) - floor, seen.voxels - floor, seen.pitch)
+            body = replace(estimate.body, build=body.build)
+        self.reset()
+        return InitialPose(best.pose, body, "", estimate, is_fitted=True)
+
+    def _best(self, seen: Sight) -> PoseHypothesis:
+        """Return the best hypothesis; one that is hardly worse and holds a T-pose is meant."""
+        best = self._followed[0]
+        rivals = [one for one in self._followed if one.mean_cost < best.mean_cost + SURE_SHARE]
+        asked = (one for one in rivals if farthest_stick(seen.body, one.pose, self._asked)[1] < T_POSE_RAD)
+        return best if seen.cut else next(asked, best)
+
+    def _hold(self, seen: Sight, pose: Pose) -> str:
+        """Count the sets in a row that show the pose that is asked for, held still; return what is amiss."""
+        stick, off = farthest_stick(seen.body, pose, self._asked)
+        if seen.cut or off >= T_POSE_RAD:
+            self._held = []
+            return f"no T-pose: the {stick.replace('_', ' ')} is {np.degrees(off):.0f} degrees off"
+        self._held.append(pose.position_world)
+        moved_m = float(np.linalg.norm(self._held[-1] - self._held[0]))
+        if moved_m > STILL_M:
+            self._held = []
+        return f"stand still: moved by {moved_m:.2f} m"
+
+    def _try_girths(self, seen: Sight) -> None:
+        """Take the one of GIRTHS with which the best pose explains clearly most of a set; what it explains and where it
+        is seen then count as if it had been so thick in all sets."""
+        tried, best_pose = list[PoseHypothesis](), self._followed[0].pose
+        for girth in GIRTHS:
+            body = seen.body if girth == 1.0 else replace(seen.body, build=build_of_girth(girth))
+            other = replace(seen, body=body)
+            tried.append(PoseHypothesis(other.fitted(best_pose, self._settings)))
+            tried[-1].add(other)
+        best = max(range(len(GIRTHS)), key=lambda girth: tried[girth].share)
+        if tried[best].share > tried[0].share + BETTER_SHARE:
+            self._girth = best
+            for hypothesis in self._followed:
+                hypothesis.share *= tried[best].share / tried[0].share
+                hypothesis.seen *= tried[best].seen / max(tried[0].seen, 1e-12)
