@@ -28,6 +28,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
+from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.images import read_support
 from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import HOST, THINNING_TOPIC, read_thinning, to_ns
@@ -273,7 +274,7 @@ class CameraNode(SagomaNode):
         self.health.count("bad_frames" if bad_frame else "failed_frames")
         text = str(error) if bad_frame else f"a frame failed: {error!r}"
         self.health.set("last_error", text)
-        self.get_logger().error(text, throttle_duration_sec=5.0)
+        self.get_logger().error(text, throttle_duration_sec=LOG_EVERY_S)
 
     def _on_acknowledgement(self, message: MultiDOFJointState) -> None:
         if self.source is not None:
@@ -284,7 +285,7 @@ class CameraNode(SagomaNode):
             self.selector.update(read_thinning(message, THINNING_TOPIC), time.monotonic_ns())
         except InputError as error:
             self.health.count("bad_rules")
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
     def _on_support(self, message: Image) -> None:
         if self.processor is None or self.processor.camera is None:
@@ -294,7 +295,7 @@ class CameraNode(SagomaNode):
             self.processor.take_support(read_support(message, canvas.name, canvas.width, SUPPORT_TOPIC))
         except InputError as error:
             self.health.count("bad_reports")
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
     # --- background and calibration ------------------------------------------------------------------------------
 

@@ -14,12 +14,11 @@ import numpy.typing as npt
 
 from . import lens
 from .errors import InputError
-from .lens import Array
+from .lens import NEGLIGIBLE, Array
 
 CANVAS_WIDTH_MULTIPLE = 32
 BAND_ROWS = 32
 # Thresholds: judgement, no measurement.
-MIN_DEPTH_M = 1e-9
 ROUNDING_PX = 1e-6
 SHARE_STEP_PX, MOST_CELLS = 4, 500  # every sixteenth pixel tells a share to a thousandth; so many a side, too
 RIM_POINTS = 720  # half a degree apart
@@ -71,7 +70,7 @@ class CameraModel:
         """
         points = np.asarray(points_world, float)
         x, y, z = (points.reshape(-1, 3) @ self.R_camera_world.T + self.t_camera_world).T
-        z = np.where(z > MIN_DEPTH_M, z, np.nan)
+        z = np.where(z > NEGLIGIBLE, z, np.nan)
         return self._pixels(np.stack([x / z, y / z], axis=1)).reshape(*points.shape[:-1], 2)
 
     def rays_world(self, pixels: npt.ArrayLike) -> Array:

@@ -18,8 +18,8 @@ Array = npt.NDArray[np.float64]
 COEFFICIENTS = {"plumb_bob": 5, "equidistant": 4, "rational_polynomial": 8}
 """How many each model has, from the simplest to the richest."""
 NEWTON_STEPS = 20
-# Thresholds: CONVERGED from rounding, LEAST_SLOPE from the classical projections up to 80 degrees; else judgement.
-CONVERGED = 1e-9  # of the focal length: far below a thousandth of a pixel
+# Thresholds: NEGLIGIBLE from rounding, LEAST_SLOPE from the classical projections up to 80 degrees; else judgement.
+NEGLIGIBLE = 1e-9  # a share, metres or radians: above what rounding adds up to, far below all that is measured
 # d(distorted radius) / d(ideal radius) below which the model counts as folded: there an error of a pixel turns a ray
 # by over thirty times what it does in the middle, and tangential terms (below 0.03 in any lens) may fold what is left.
 # Real lenses have more up to 80 degrees off the axis (an equidistant one cos^2); from here to the fold it is a tenth of
@@ -54,10 +54,10 @@ def undistort(points: Array, D: Array) -> Array:
             determinant = a * c - b * b
             step = np.stack([c * ex - b * ey, a * ey - b * ex], axis=1) / determinant[:, None]
             ideal += step
-            if not np.abs(step[np.isfinite(step)]).max(initial=0) > CONVERGED / 10:
+            if not np.abs(step[np.isfinite(step)]).max(initial=0) > NEGLIGIBLE / 10:
                 break
         residual = np.abs(distort(ideal, D) - points).max(axis=1)
-        solved = (residual < CONVERGED) & ((ideal**2).sum(axis=1) < reach_radius(D) ** 2)
+        solved = (residual < NEGLIGIBLE) & ((ideal**2).sum(axis=1) < reach_radius(D) ** 2)
     ideal[~solved] = np.nan
     return ideal
 
@@ -139,8 +139,8 @@ def _distort(points: Array, D: Array) -> tuple[Array, tuple[Array, Array, Array]
 
 
 def _radius_and_angle(points: Array) -> tuple[Array, Array]:
-    """Radius of ideal points, not 0 (below CONVERGED a fisheye is a pinhole), and their angle off the axis."""
-    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), CONVERGED**2))
+    """Radius of ideal points, not 0 (below NEGLIGIBLE a fisheye is a pinhole), and their angle off the axis."""
+    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), NEGLIGIBLE**2))
     return radius, np.arctan(radius)
 
 
@@ -172,14 +172,14 @@ def _distort_fisheye(points: Array, D: Array) -> tuple[Array, tuple[Array, Array
 
 
 def _undistort_fisheye(points: Array, D: Array) -> Array:
-    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), CONVERGED**2))
+    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), NEGLIGIBLE**2))
     last = _largest_angle(D)
     angle = np.minimum(radius, last)
     for _ in range(NEWTON_STEPS):
         bent, slope = _bend(angle, D)
         step = (radius - bent) / slope
         angle = np.clip(angle + step, 0.0, last)
-        if np.abs(step).max(initial=0.0) <= CONVERGED / 10:
+        if np.abs(step).max(initial=0.0) <= NEGLIGIBLE / 10:
             break
-    solved = np.abs(_bend(angle, D)[0] - radius) < CONVERGED
+    solved = np.abs(_bend(angle, D)[0] - radius) < NEGLIGIBLE
     return np.asarray(np.where(solved, np.tan(angle) / radius, np.nan)[..., None] * points)

@@ -15,6 +15,7 @@ from .kernel import kernel, njit
 from .small_matrices import diagonalise
 
 Array = np.ndarray
+WRITTEN_TOLERANCE = 1e-3  # of rotations from others: ours are exact to 1e-15, hand-written ones to their digits
 
 
 def rotation_matrix(vectors: npt.ArrayLike) -> Array:

@@ -167,7 +167,7 @@ def _look_through(P, seen, points, found):
 MOST_PIXEL_M = 0.012  # two pixels to a voxel of the hull, nearly: finer ones add nothing inside of an outline
 # Thresholds: STEP_PX from sensors, whose regions begin and end at multiples of 16 pixels at the coarsest.
 STEP_PX = 16
-SPARE = 0.012  # of the picture's width around the volume: as far as a client follows a camera that was touched
+MOST_FOLLOWED_SHARE = 0.012  # of its width: so far a client follows a touched camera's picture, which has that to spare
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def needed_region(camera: CameraModel, volume: Volume) -> Region:
     rays = camera.rays_world(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     meets = _meets(camera.centre_world, rays, volume).reshape(len(y), len(x))
     (offset_x, width), (offset_y, height) = (
-        _side(places[meets.any(axis=axis)], n, SPARE * camera.width, binning)
+        _side(places[meets.any(axis=axis)], n, MOST_FOLLOWED_SHARE * camera.width, binning)
         for places, n, axis in ((x, camera.width, 0), (y, camera.height, 1))
     )
     return Region(binning, offset_x, offset_y, width, height)

@@ -15,6 +15,7 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON, NOTHING_SEEN
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
 from mocap_packets.state import BodyState, Tracking
+from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.messages import LATENCY_TOPIC, latency_message
@@ -166,7 +167,7 @@ class EkfNode(SagomaNode):
 
     def _drop(self, error: InputError) -> None:
         self.health.count("bad_points")
-        self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+        self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
 
 def summary_of(answers: dict[int, Answer]) -> str:

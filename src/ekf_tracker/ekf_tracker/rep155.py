@@ -20,7 +20,7 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON
 from stick_figure.body import Body
 from stick_figure.pose import Pose
-from stick_figure.rotations import HINGE_SLACK_RAD, wrap_pi
+from stick_figure.rotations import GIMBAL_SINE, HINGE_SLACK_RAD, wrap_pi
 
 from .urdf import LinkJoint, Range, Segment, robot_urdf, segments
 
@@ -30,7 +30,6 @@ HRI_JOINT_NAMES = (
     *(f"{side}_{name}" for side in "lr" for name in ("y_hip", "p_hip", "r_hip", "knee")),
 )
 BODY_ID = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-SINGULAR_SINE = 1e-6
 STEP_S = 1e-4  # of the difference that gives rates: 20 rad/s turn by 2 mrad, so the error is some 1e-3 of them
 SHOULDER_PITCH_LOW = -0.4
 """rad; lower limit of p_shoulder in the URDF."""
@@ -111,7 +110,7 @@ def _shoulder(R: np.ndarray, outward: float, previous: np.ndarray) -> np.ndarray
         R = R * np.outer([1.0, -1.0, 1.0], [1.0, -1.0, 1.0])
     sine = np.hypot(R[0, 2], R[1, 2])
     p = np.arctan2(sine, R[2, 2])
-    if sine < SINGULAR_SINE:  # arm straight down (or up): only r -+ y is seen
+    if sine < GIMBAL_SINE:  # arm straight down (or up): only r -+ y is seen
         y = previous[0]
         turn = np.arctan2(R[1, 0], R[0, 0])
         return np.array([y, p, wrap_pi(turn + y if R[2, 2] > 0.0 else -turn - y)])

@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage
 from capture_rig import CameraModel, InputError
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
-from sagoma_ros.health import ERROR, WARN
+from sagoma_ros.health import ERROR, LOG_EVERY_S, WARN
 from sagoma_ros.images import ABSENT, decode_silhouette
 from sagoma_ros.limits import check_mask_bytes, read_message, same_but_for_stamp
 from sagoma_ros.messages import to_ns
@@ -32,7 +32,6 @@ GIVE_UP_SETS = 5  # in a row have waited for a camera in vain: none does any mor
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 NEVER_NS = 1 << 62
-LOG_EVERY_S = 5.0
 COUNTER_KEYS = {name: name for name in ("frames", "restarts")}  # of those whose key is not frames_NAME
 COUNTER_KEYS |= {name: f"sets_{name}" for name in ("complete", "incomplete")}
 

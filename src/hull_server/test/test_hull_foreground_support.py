@@ -5,14 +5,14 @@ import pytest
 from hull_scenes import VOLUME, capsule_person, ring_rig, silhouettes
 
 from capture_rig import Rig, Volume
-from hull_server.consistency.foreground_support import PERIOD_S, SupportReporter
+from hull_server.consistency.foreground_support import SupportReporter
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import CameraFaultSettings, HullSettings
 from hull_server.views import RigViews
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, SUPPORT_PERIOD_S, UNJUDGED
 
-STEP_NS = round(PERIOD_S * 1e9)
+STEP_NS = round(SUPPORT_PERIOD_S * 1e9)
 WIDE = (640, 480)
 SMALL = Volume(np.array([-0.9, -0.9, -0.05]), np.array([0.9, 0.9, 1.9]))  # all of it seen by all cameras
 

@@ -6,7 +6,7 @@ from hull_scenes import capsule_person, ring_rig, silhouettes
 
 from capture_rig import Volume
 from capture_rig.mask_levels import UNCERTAIN
-from hull_server.consistency.camera_fault_detector import VOXEL_M
+from capture_rig.visibility import CELL_M
 from hull_server.consistency.occluders import LEARNED_S, OccluderMap
 from hull_server.consistency.silhouette_residuals import ResidualEstimator
 from hull_server.views import RigViews
@@ -20,7 +20,7 @@ WALK = [capsule_person(0.3, x, 0.1) for x in np.linspace(-0.6, 0.6, 25)]
 
 @pytest.fixture
 def occluders():
-    return OccluderMap(VIEWS, ResidualEstimator(RIG, VIEWS, VOXEL_M))
+    return OccluderMap(VIEWS, ResidualEstimator(RIG, VIEWS, CELL_M))
 
 
 def desk(masks):

@@ -22,7 +22,7 @@ from capture_rig.rig import Rig, load_rig
 from mocap_packets.fit import FIRST_PERSON, PART_NAMES, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions, format_bodies
-from sagoma_ros.health import OK, PERIOD_S, WARN
+from sagoma_ros.health import LOG_EVERY_S, OK, PERIOD_S, WARN
 from sagoma_ros.inputs import InputWatchdog, StampOrder, Worker
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.messages import key_values, to_stamp
@@ -241,11 +241,11 @@ class IcpNode(SagomaNode):
 
     def _drop(self, counter: str, error: InputError) -> None:
         self.health.count(counter)
-        self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+        self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
     def _on_error(self, error: Exception) -> None:
         self.health.count("failed_sets")
-        self.get_logger().error(f"a frame set failed: {error!r}", throttle_duration_sec=5.0)
+        self.get_logger().error(f"a frame set failed: {error!r}", throttle_duration_sec=LOG_EVERY_S)
 
 
 def summary_of(fits: tuple[Fit, ...], acquiring: tuple[str, ...] = ()) -> str:

@@ -21,6 +21,7 @@ from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.keypoints import NUMBERS, Detections, keypoints_of
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
+from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.limits import oversize
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
@@ -133,7 +134,7 @@ class KeypointInputs:
             names, values = vectors_of_cloud(message, len(NUMBERS), where)
         except InputError as error:
             self._node.health.count("bad_keypoints")
-            self._node.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self._node.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
             return
         with self._changed:
             self._found[camera].append(Detections(camera, to_ns(message.header.stamp), names, values))

@@ -211,7 +211,7 @@ def test_a_right_pose_is_good_and_a_body_elsewhere_is_lost(person):
     beside = replace(person.pose, position_world=person.pose.position_world + np.array([0.6, 0.0, 0.0]))
     right, wrong = assessed(person, [person.pose, beside], [data, data])
     assert right.quality.state == GOOD and right.spread is None and not right.unseen.any()
-    assert wrong.quality.state == LOST and "is usual" in wrong.quality.reason
+    assert wrong.quality.state == LOST and "of the outlines" in wrong.quality.reason
 
 
 def with_rays_beside(person, share):

@@ -44,6 +44,8 @@ UNJUDGED, BODY, OUTSIDE, NOBODY = 0, 85, 170, 255
 """Levels of a cell: too few others look there; they see a body there, or next to it; no body in the capture volume, but
 maybe something outside it; nobody."""
 LEVELS = (UNJUDGED, BODY, OUTSIDE, NOBODY)
+SUPPORT_PERIOD_S = 0.25
+"""From one `ForegroundSupport` to the next: it serves to judge things, which takes seconds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import read_reference_points
@@ -99,7 +100,7 @@ class PersonNode(SagomaNode, ABC):
                 self.health.tick(stamp_ns)
         except (InputError, OSError) as error:
             self.health.count("failed")
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
         self._half_heard.pop(stamp_ns, None)
         if len(heard) == 1:
             self._half_heard[stamp_ns] = heard

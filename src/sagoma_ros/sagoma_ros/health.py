@@ -16,6 +16,7 @@ from .messages import HOST, key_values
 from .qos import RESULT
 
 PERIOD_S = 1.0
+LOG_EVERY_S = 5.0  # an error that recurs with every message
 LATENCY_SAMPLES = 1000
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 

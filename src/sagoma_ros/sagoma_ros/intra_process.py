@@ -22,6 +22,7 @@ from rclpy.subscription import Subscription
 
 from capture_rig.errors import InputError
 
+from .health import LOG_EVERY_S
 from .limits import oversize
 from .qos import RESULT
 
@@ -175,6 +176,6 @@ class PacketSubscription(Generic[P]):
         except InputError as error:  # it is too large, or no message of ours
             if (health := getattr(self._node, "health", None)) is not None:
                 health.count("large_messages")
-            self._node.get_logger().warning(f"{self._topic.name}: {error}", throttle_duration_sec=5.0)
+            self._node.get_logger().warning(f"{self._topic.name}: {error}", throttle_duration_sec=LOG_EVERY_S)
             return
         self.deliver(Delivery(stamp_ns, frame_id, lambda: self._topic.from_message(message, self._where)))

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import WRITTEN_TOLERANCE
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
@@ -29,8 +30,6 @@ except ImportError:
     TFMessage = None
 
 Transforms = Sequence[TransformStamped]
-
-NORM_TOLERANCE = 1e-3  # of a quaternion's length from 1; ours are exact to 1e-15, hand-written ones to their digits
 
 
 def motion_message(motions: dict[int, JointMotion], stamp_ns: int, frame_id: str) -> MultiDOFJointState:
@@ -67,7 +66,7 @@ def read_motions(message: MultiDOFJointState, where: str) -> dict[int, JointMoti
     linear = np.array([[v.x, v.y, v.z] for v in (t.linear for t in message.twist[::size])])
     if not all(np.isfinite(numbers).all() for numbers in (turns, angular, places, linear)):
         raise InputError("the joints hold numbers that are not finite", where=where, remedy="Check the publisher.")
-    if np.abs(np.linalg.norm(turns, axis=1) - 1.0).max(initial=0.0) > NORM_TOLERANCE:
+    if np.abs(np.linalg.norm(turns, axis=1) - 1.0).max(initial=0.0) > WRITTEN_TOLERANCE:
         raise InputError("a quaternion has not the length 1", where=where, remedy="Normalise it before publishing.")
     motions = {}
     for number, start in enumerate(range(0, len(names), size)):

@@ -31,11 +31,10 @@ HIP_WIDTH_RATIO = 0.7
 # forearm .146, hand .108; biacromial breadth .259, pelvic breadth .191.
 _HIP, _SHOULDER, _NECK, _KNEE, _ANKLE = 0.530, 0.818, 0.870, 0.285, 0.039
 _UPPER_ARM, _FOREARM, _HAND = 0.186, 0.146, 0.108
-WRIST_FRACTION = _FOREARM / (_FOREARM + _HAND)
-"""Where the wrist is on the stick from the elbow to the finger tip."""
 _BIACROMIAL, _PELVIC = 0.259, 0.191
 _HIP_CENTRES_OVER_PELVIS = 0.72
 """Distance of the hip joint centres over the pelvic breadth: Bell, Pedersen & Brand (1990), 14 % medial each side."""
+TYPICAL_STATURE_M = 1.75
 STATURES_M = (0.5, 2.6)
 """The smallest and the greatest person."""
 BUILD_NUMBERS = 14

@@ -13,11 +13,9 @@ from capture_rig.rigid import rigid_transform
 from . import kernels
 from .body import Body
 from .pose import Pose
-from .rotations import Array, ball_rates, ball_rotation, excess_over_range, wrap_into_range
+from .rotations import GIMBAL_SINE, Array, ball_rates, ball_rotation, excess_over_range, wrap_into_range
 from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, T_POSE_ANGLES, TORSO_POINTS
 
-STRAIGHT_SINE = 1e-7
-"""Below this bend the twist of the upper limb cannot be seen in the points."""
 _LIMB_POINTS = np.array([[3, 7, 11], [4, 8, 12], [5, 9, 13], [6, 10, 14]])
 """(4, 3) points at the joint, middle and end of each limb."""
 _SEGMENTS = np.vstack([[[2, 1]], _LIMB_POINTS[:, :2], _LIMB_POINTS[:, 1:]])
@@ -59,7 +57,7 @@ def _limb(limb, upper, lower, remembered, R):
     along = np.dot(lower, upper)
     across = lower - along * upper
     bend = math.sqrt(np.dot(across, across))
-    if bend < STRAIGHT_SINE:
+    if bend < GIMBAL_SINE:  # a straight limb's points do not show the twist of its upper part
         _straight_limb(limb, upper, remembered, R)
         if along > 0.0:
             return 0.0
@@ -84,7 +82,7 @@ def _straight_limb(limb, upper, remembered, R):
     slots = BALL_ANGLES[1 + limb]
     level = math.hypot(y, z)
     first = remembered[slots[0]]
-    if level > STRAIGHT_SINE:
+    if level > GIMBAL_SINE:
         first = math.atan2(z, y) if limb < 2 else math.atan2(y, -z)
     second = math.atan2(-x, level)
     angles, values, best_cost = remembered.copy(), np.empty(3), math.inf

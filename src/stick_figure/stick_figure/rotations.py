@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from capture_rig.kernel import njit
+from capture_rig.lens import NEGLIGIBLE
 
 from . import kernels
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES, T_POSE_ANGLES
@@ -24,8 +25,6 @@ Array = np.ndarray
 # judgement.
 GIMBAL_SINE = 1e-8
 """cos(b) below which the first and third axis are parallel in double precision: only their sum is defined."""
-ROUNDING_RAD = 1e-9
-"""Excess over a limit that is taken for rounding and snapped onto the limit."""
 SINGULAR_SINE = 0.05
 """Smallest singular value of the angles' axes that rates are divided by: they stay below 1/0.05 per rad/s of turn."""
 TURN = 2.0 * math.pi
@@ -91,7 +90,7 @@ def wrap_into_range(value, slot):
     """Return the value modulo a full turn in (or nearest to) the slot's range; rounding is snapped to the limit."""
     middle = 0.5 * (ANGLE_LOW[slot] + ANGLE_HIGH[slot])
     value -= TURN * math.floor((value - middle) / TURN + 0.5)
-    if ANGLE_LOW[slot] - ROUNDING_RAD <= value <= ANGLE_HIGH[slot] + ROUNDING_RAD:
+    if ANGLE_LOW[slot] - NEGLIGIBLE <= value <= ANGLE_HIGH[slot] + NEGLIGIBLE:
         value = min(max(value, ANGLE_LOW[slot]), ANGLE_HIGH[slot])
     return value
 
@@ -213,10 +212,10 @@ def _third_angle(R, a, b, j, sign):
 def _wrap_near(value, slot, reference, continuous):
     """`wrap_into_range`; of the two ends of a full circle (the same angle) the one nearer the reference."""
     value = wrap_into_range(value, slot)
-    if continuous and ANGLE_HIGH[slot] - ANGLE_LOW[slot] >= TURN - ROUNDING_RAD:
-        if value - ANGLE_LOW[slot] < ROUNDING_RAD and reference[slot] - value > math.pi:
+    if continuous and ANGLE_HIGH[slot] - ANGLE_LOW[slot] >= TURN - NEGLIGIBLE:
+        if value - ANGLE_LOW[slot] < NEGLIGIBLE and reference[slot] - value > math.pi:
             return ANGLE_HIGH[slot]
-        if ANGLE_HIGH[slot] - value < ROUNDING_RAD and value - reference[slot] > math.pi:
+        if ANGLE_HIGH[slot] - value < NEGLIGIBLE and value - reference[slot] > math.pi:
             return ANGLE_LOW[slot]
     return value
 

@@ -12,12 +12,12 @@ from pathlib import Path
 from capture_rig.errors import InputError
 from capture_rig.settings import FRAME_RATE, number
 from rig_calibration.boards.board import board_text, read_board
-from stick_figure.body import STATURES_M
+from stick_figure.body import STATURES_M, TYPICAL_STATURE_M
 
 from .motions.catalogue import MOTIONS, MotionFunction
 from .motions.recorded import RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
-from .people import BUILDS, LENGTHS, OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
+from .people import BUILDS, LENGTHS, OUTFITS, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
 from .recording.session import SESSION_FPS, RenderSettings, write_scene, write_session
 from .rig import HEIGHT_PX, WIDTH_PX, ring
@@ -102,7 +102,7 @@ def _session_parser() -> argparse.ArgumentParser:
     option("--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out")
     option("--motion-up", default="y", help="the file's axis that points up")
     option("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
-    option("--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m")
+    option("--stature", type=number("m", *STATURES_M), default=TYPICAL_STATURE_M, help="standing height, m")
     option("--build", type=BUILD, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
     option("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")
     option("--legs", type=LENGTH, default=1.0, help="length of the legs over the average's")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from capture_rig.session import WRIST_FRACTION
 from stick_figure import kernels
-from stick_figure.body import Body
+from stick_figure.body import TYPICAL_STATURE_M, Body
 from stick_figure.pose import Pose
 from stick_figure.skeleton import (
     HEAD,
@@ -33,7 +33,6 @@ from stick_figure.skeleton import (
 
 Array = NDArray[np.float64]
 
-REFERENCE_STATURE_M = 1.75
 UP = np.array([0.0, 0.0, 1.0])
 ANKLE_HEIGHT = 0.039
 """Ankle over stature (Drillis & Contini 1966)."""
@@ -87,7 +86,7 @@ class VolumetricBody:
     @cached_property
     def scale(self) -> float:
         """Size of this person over the one the radii are drawn for."""
-        return self.body.stature / REFERENCE_STATURE_M
+        return self.body.stature / TYPICAL_STATURE_M
 
     @cached_property
     def ankle_height(self) -> float:

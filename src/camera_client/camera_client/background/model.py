@@ -22,11 +22,11 @@ from ..frame_source import Image, UndecodableFrame
 from ..settings import BackgroundSettings
 from ..sources.footage_reader import FootageReader, open_footage
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
+from .kernels import WITHIN_NOISE
 
 MOST_BACKGROUND_BYTES = 2 << 30  # two images of floats, of the largest sensors in colour (65 megapixels)
 FORMAT = "sagoma background 1"
 # Thresholds: judgement, no measurement.
-MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise
 NOISIEST = 4.0  # grey levels: no camera is noisier, it moved; of a single still, whose noise is not known, so much is
 # assumed
 SQRT_2_PI = math.sqrt(2 * math.pi)
@@ -88,7 +88,7 @@ class BackgroundModel:
     def moving_pixels(self) -> npt.NDArray[np.bool_]:
         """(H, W) pixels that varied much more than the rest: something moved while the background was learned."""
         spread = self.sigma if self.sigma.ndim == 2 else self.sigma.max(axis=2)
-        limit = MOVING_SIGMAS * np.clip(float(np.median(spread)), BackgroundSettings.sigma_floor, NOISIEST)
+        limit = WITHIN_NOISE * np.clip(float(np.median(spread)), BackgroundSettings.sigma_floor, NOISIEST)
         return np.asarray(spread > limit)
 
     @cached_property

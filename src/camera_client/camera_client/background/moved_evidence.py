@@ -16,17 +16,17 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS
-from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, SUPPORT_PERIOD_S, UNJUDGED, ForegroundSupport
 
 from ..frame_source import Image, Mask
 
-# Thresholds: APPLY_AFTER_S from the latency of the graph; else chosen with the rooms of test_camera_moved_things.py.
+# Thresholds: chosen with the rooms of test_camera_moved_things.py.
 WHOLE = 0.8  # share of a thing's blocks that must keep still: heads and hands move while a trunk does not; in the rest
 # others may see something: rays of other things that cross
 MAJORITY = 0.5  # of a thing that nobody else sees; of its outline that is visible, and has an edge in one of the two
 # pictures; more of the picture is another room
-APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep: twice the
-# reports' period, and no report stands for more time
+APPLY_AFTER_S = 2 * SUPPORT_PERIOD_S  # a report counts for frames so much later, when it is there, live and in
+# lockstep, and none stands for more time
 SILENT_S = 4 * APPLY_AFTER_S  # without a report for so long, nothing is known of the others
 
 Blocks = npt.NDArray[np.bool_]

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import HALF_MEDIAN, USUAL_S
-from .model import MOVING_SIGMAS, NOISIEST, BackgroundModel
+from .kernels import HALF_MEDIAN, USUAL_S, WITHIN_NOISE
+from .model import NOISIEST, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
-MOST_VARIANCE = (MOVING_SIGMAS * NOISIEST) ** 2  # a room that seems noisier must not hide a person
+MOST_VARIANCE = (WITHIN_NOISE * NOISIEST) ** 2  # a room that seems noisier must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = (

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
+from capture_rig.visibility import MOST_FOLLOWED_SHARE
 
 from ..alignment import strongest
 from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
@@ -29,7 +30,6 @@ PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture with
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
 DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
-MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
 LEFT_S = 2 * SETTLE_S  # time constant of what is left: of what did not last
 RESTLESS = 1.5  # edges that fit worse than in the second before, by such a factor, may have moved at once
@@ -163,7 +163,7 @@ class ShiftEstimator:
     def move(self, by: Displacement) -> bool:
         """Add a displacement to ``total``; False, and nothing is changed, where that is more than is followed."""
         total = self.total.plus(by)
-        if total.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
+        if total.most_px(self._shape) > MOST_FOLLOWED_SHARE * self._shape[1]:
             return False
         self.total = total
         self._recent.clear()

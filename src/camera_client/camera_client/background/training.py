@@ -20,8 +20,8 @@ from capture_rig.verdict import REDO, Finding, judge
 
 from ..frame_source import Image
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
-from .kernels import BEYOND_NOISE, HALF_MEDIAN
-from .model import MOVING_SIGMAS, SOFTWARE, BackgroundLearner, BackgroundModel, Provenance
+from .kernels import BEYOND_NOISE, HALF_MEDIAN, WITHIN_NOISE
+from .model import SOFTWARE, BackgroundLearner, BackgroundModel, Provenance
 from .verdict import describe_background, judge_background, turn_findings
 
 KEY = "background_training"  # of the diagnostics: the last report
@@ -243,7 +243,7 @@ def _most_frequent(
     width = np.take_along_axis(widths, first, axis=0)[0]
     middle = 0.5 * (np.take_along_axis(ordered, first, axis=0) + np.take_along_axis(ordered, first + half, axis=0))[0]
     typical = max(float(np.median(width)) / HALF_OF_NORMAL, 0.5)
-    near = np.abs(grey - middle) <= BEYOND_NOISE * np.clip(width / HALF_OF_NORMAL, typical, MOVING_SIGMAS * typical)
+    near = np.abs(grey - middle) <= BEYOND_NOISE * np.clip(width / HALF_OF_NORMAL, typical, WITHIN_NOISE * typical)
     uncertain = near.mean(axis=0) < CERTAIN_SHARE
     weight = near.astype(np.float32)
     if levels.ndim == 4:

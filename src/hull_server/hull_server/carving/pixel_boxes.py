@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.camera import MIN_DEPTH_M, ROUNDING_PX
+from capture_rig.camera import ROUNDING_PX
 from capture_rig.kernel import kernel
+from capture_rig.lens import NEGLIGIBLE
 
 from ..grid import VoxelGrid
 from ..views import RigViews
@@ -98,7 +99,7 @@ def project_block(P, low, high, size):  # type: ignore[no-untyped-def]
         low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
     if farthest <= 0:
         return 0, 0, 0, 0, False
-    if nearest <= MIN_DEPTH_M:  # at the camera's plane: the whole canvas
+    if nearest <= NEGLIGIBLE:  # at the camera's plane: the whole canvas
         return 0, 0, int(width), int(height), False
     low_u, low_v, high_u, high_v = low_u - ROUNDING_PX, low_v - ROUNDING_PX, high_u + ROUNDING_PX, high_v + ROUNDING_PX
     inside = low_u >= 0 and low_v >= 0 and high_u < width and high_v < height

@@ -15,6 +15,7 @@ import numpy as np
 
 from capture_rig import Rig
 from capture_rig.stamps import StampThrottle
+from capture_rig.visibility import CELL_M
 
 from ..settings import PERSON_LITRES, CameraFaultSettings
 from ..views import Masks, RigViews
@@ -24,7 +25,6 @@ from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
-VOXEL_M = 0.05  # of the coarse grid
 PERIOD_S = 0.1  # from one comparison to the next
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
@@ -66,7 +66,7 @@ class CameraFaultDetector:
     def __init__(self, rig: Rig, views: RigViews, settings: CameraFaultSettings, min_seeing: int = 0) -> None:
         """``min_seeing`` is the hull's setting of that name."""
         self.settings, self.names, self._views = settings, views.names, views
-        self._estimator = ResidualEstimator(rig, views, VOXEL_M, min_seeing)
+        self._estimator = ResidualEstimator(rig, views, CELL_M, min_seeing)
         self.occluders = OccluderMap(views, self._estimator)
         self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
         self._fewest = max(FEWEST_VOTERS, min_seeing)

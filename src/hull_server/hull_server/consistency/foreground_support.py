@@ -20,7 +20,7 @@ import numpy.typing as npt
 from capture_rig import Rig, Volume
 from capture_rig.kernel import kernel
 from capture_rig.stamps import StampThrottle
-from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, SUPPORT_PERIOD_S, UNJUDGED, ForegroundSupport
 
 from ..bitset import high_bytes, nonzero_bytes, popcount
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
@@ -29,7 +29,6 @@ from ..views import Masks, RigViews, min_seeing
 from . import EARLY
 
 # Thresholds: ARM_M from the length of an arm; else chosen with the rooms of test_hull_foreground_support.py.
-PERIOD_S = 0.25  # things are judged for seconds
 CELL_PX = 8  # a word of pixels, a divisor of every canvas's width; where camera clients look for foreground
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
@@ -55,7 +54,7 @@ class SupportReporter:
         self._boxes, self._coarse = (block_boxes(self._cells, grid, e, seen_table) for e in (_EDGE, _COARSE_EDGE))
         self._space = _Space.of(grid, rig.volume)
         self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, ARM_M)) for P in views.P]
-        self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
+        self._throttle = StampThrottle(SUPPORT_PERIOD_S, early_share=EARLY)
         self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
 

@@ -23,7 +23,7 @@ from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.fit import GONE_AFTER_S
 from mocap_packets.hull import HullProducts
-from stick_figure.body import Body
+from stick_figure.body import TYPICAL_STATURE_M, Body
 from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.pose import Pose
@@ -44,7 +44,7 @@ from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
 from .pose_hypothesis import T_POSE_RAD, PoseHypothesis, Sight, farthest_stick
 from .t_pose_sizes import with_t_pose
-from .truncation import FEET, HEAD, TYPICAL_STATURE_M, Stance, advice_text, cut_parts, pitch_of, stance_of
+from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, stance_of
 
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
 # right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);

@@ -13,6 +13,7 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.visibility import RigVisibility
+from stick_figure.body import TYPICAL_STATURE_M
 
 FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right hand", "body"
 
@@ -30,7 +31,6 @@ TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
 ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
 STEP_M, FARTHEST_M, DIRECTIONS = 0.1, 2.5, 16  # steps that are tried
 MARGIN_M = 0.10  # a place is seen with so much to spare: the hull of three cameras is so much wider than a hand
-TYPICAL_STATURE_M = 1.75  # of somebody whose head is not seen
 
 
 @dataclass(frozen=True, eq=False)

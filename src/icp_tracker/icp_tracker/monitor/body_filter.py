@@ -25,8 +25,6 @@ STANCES_A_SET = 6
 BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
 BODY_DOUBTFUL = 0.4  # probability of another pose of the whole body
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
-LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ
-USUAL_S = 5.0  # over which the usual share is averaged
 # of the contour rays, over a pose or two: what a body explains that is not the person's. It is said, nothing else: torn
 # silhouettes leave as much, beside a pose that is right. Of 73 sets of six makers' people, those with less are 0.1 m
 # wrong or more at some point half of the time; any share from 0.66 to 0.70 tells them (python bench/doubt.py)
@@ -52,7 +50,6 @@ class BodyFilter:
 
     def __init__(self) -> None:
         self.other: Hypothesis | None = None
-        self._usual_share: float | None = None
         self._recent_share = 1.0
         self._last_good: Pose | None = None
         self._kind = self._unchecked = 0
@@ -61,17 +58,12 @@ class BodyFilter:
         """Note a set that shows nobody: who is found after it is not believed before other poses have been tried."""
         self._unchecked = CHECKS
 
-    def judge(self, evidence: Evidence, dt_s: float) -> TrackQuality:
-        """Return the quality by the share of the contour rays that the body explains, itself and against its usual."""
-        share = evidence.share
-        usual = share if self._usual_share is None else self._usual_share
-        reason = f"the body explains {100 * share:.0f} % of the outlines, {100 * usual:.0f} % is usual"
-        if share < LOST_SHARE or usual - share > LOST_DROP:
-            return TrackQuality(LOST, reason, (LOST,) * len(PART_NAMES), share)
-        if share < DOUBTFUL_SHARE or usual - share > DOUBTFUL_DROP:
-            return TrackQuality(DOUBTFUL, reason, (DOUBTFUL,) * len(PART_NAMES), share)
-        self._usual_share = usual + (share - usual) * dt_s / (USUAL_S + dt_s)
-        return TrackQuality(GOOD, "", (GOOD,) * len(PART_NAMES), share)
+    @staticmethod
+    def judge(share: float) -> TrackQuality:
+        """Return the quality by the share of the contour rays that the body explains."""
+        state = LOST if share < LOST_SHARE else DOUBTFUL if share < DOUBTFUL_SHARE else GOOD
+        reason = "" if state == GOOD else f"the body explains {100 * share:.0f} % of the outlines"
+        return TrackQuality(state, reason, (state,) * len(PART_NAMES), share)
 
     def mark_set(self, pose: Pose, quality: TrackQuality, dt_s: float) -> None:
         """Note how well a set was explained, ``dt_s`` after the one before."""

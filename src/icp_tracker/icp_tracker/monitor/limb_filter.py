@@ -17,10 +17,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ..articulated_fit import LONGEST_S
 from .limb_search import LimbPlaces
 
 # Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
-MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
+MEMORY_S = LONGEST_S  # a body moves by a limb's width in it: older evidence is forgotten, newer is the same again
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
 UNFOUND_LOG_PRIOR = 2.5  # of one that it did not find: part of it hides before the body; bench/doubt.py
 SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place

@@ -37,6 +37,7 @@ from stick_figure.least_squares.normal_equations import (
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
+from ..articulated_fit import POINT_GATE_M
 from .evidence import GATE_M, RAYS_PER_NAT, SAME_M, SLACK_M, match_to, ray_cost
 from .pose_library import Limb, LimbPoses
 from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
@@ -46,7 +47,6 @@ REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
 ITERATIONS = 4
 ANGLES = 4  # three of the ball joint, one of the hinge
-REFINE_GATE_M = 0.08
 STIFFNESS_M2 = 2.0 * 0.3**2  # rays that hold an angle at its guess, times their lever squared
 
 
@@ -186,7 +186,7 @@ def _refine_limb(rays, placed, figure, limb):
     _place_limb(placed, figure, limb)
     for _ in range(ITERATIONS):
         sums = no_sums(placed.P.shape[0], ENDS)
-        sum_rays(rays, match_rays(rays, placed, SLACK_M), REFINE_GATE_M, sums)
+        sum_rays(rays, match_rays(rays, placed, SLACK_M), POINT_GATE_M, sums)
         _add_limb_sums(sums, placed, limb, own, pull)
         for i in range(ANGLES):
             own[i, i] += STIFFNESS_M2

@@ -99,7 +99,7 @@ class TrackMonitor:
             return TrackAssessment(UNKNOWN)
         seen = Observation(dt_s, body, data, settings)
         evidence = seen.evidence_of(pose, matched)
-        quality = self._body.judge(evidence, dt_s)
+        quality = self._body.judge(evidence.share)
         if quality.state == LOST:
             self.mark_lost()
         if not self._settings.search:
@@ -127,7 +127,7 @@ class TrackMonitor:
             return None
         self._beliefs = [None] * len(LIMBS)
         other, found = changed
-        return TrackAssessment(self._body.judge(found, 0.0), other.pose, other.why, ALL_PARTS)
+        return TrackAssessment(self._body.judge(found.share), other.pose, other.why, ALL_PARTS)
 
     # --- what is believed of each limb --------------------------------------------------------------------------------
 
@@ -184,7 +184,7 @@ class TrackMonitor:
             self._beliefs[number] = belief.without(place)
             return None
         self._beliefs[number] = self._belief_after_move(seen, better, number, pose, log_odds)
-        quality = self._with_limbs(self._body.judge(found, 0.0))
+        quality = self._with_limbs(self._body.judge(found.share))
         moved = tuple(part == limb.part for part in range(len(PART_NAMES)))
         return TrackAssessment(quality, better, f"{PART_NAMES[limb.part]} elsewhere", moved)
 

@@ -23,14 +23,13 @@ from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
 from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
 from stick_figure.pose import Pose
 
-from ..articulated_fit import ray_arrays
+from ..articulated_fit import POINT_GATE_M, ray_arrays
 from ..monitor.evidence import EXPLAINED_M as GRAZED_M
 
 NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
 OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
 PART_SHARE = 0.08  # of a part's points: fewer are a neighbour's hand (four persons in one wide hull explain 0.15 each)
 SAMPLES = 600  # of the hull's voxels that tell whose its parts are
-EXPLAINED_M = 0.08  # a row this near to somebody's surface may be that person's alone
 CLEARLY_M = 0.03  # so much nearer to one surface than to the other is clear: twice the error of a good prediction
 ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb either: the length of a hand
 # a ray that is not clear is uncertain by so much, the error of a prediction: it tells where one of the two is, not
@@ -189,7 +188,7 @@ def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _R
     nearest = _Distances(*(np.min(kind, axis=0) for kind in zip(*others, strict=True)))
     line, on_surface, rays = (~_is_others(mine, theirs) for mine, theirs in zip(own, nearest, strict=True))
     either = np.abs(own.rays - nearest.rays)[rays] <= CLEARLY_M
-    either &= np.minimum(own.rays, nearest.rays)[rays] < EXPLAINED_M
+    either &= np.minimum(own.rays, nearest.rays)[rays] < POINT_GATE_M
     seen = rows.products
     kept = seen.of_rows(line, np.ones(len(seen.voxels), bool), rays)
     voxels = replace(seen.voxels, surface=seen.voxels.surface & on_surface)
@@ -201,5 +200,5 @@ def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _R
 
 def _is_others(own: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Which rows another person explains clearly better, or is much nearer to."""
-    explained = (others < EXPLAINED_M) & (others + CLEARLY_M < own)
+    explained = (others < POINT_GATE_M) & (others + CLEARLY_M < own)
     return np.asarray(explained | (others + ELSEWHERE_M < own))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_rig.lens import Array
+from capture_rig.lens import NEGLIGIBLE, Array
 
 from ..boards.x_corner import CONVERGED_PX
 from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Linearised, Observations, State, linearise, residuals_px
@@ -26,7 +26,6 @@ from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Linearised, Observations, 
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
 RAYLEIGH_MEDIAN = math.sqrt(2 * math.log(2))  # the median length of a two-dimensional residual of unit variance
 ROUNDS = 4
-TINY = 1e-9  # of the trace: keeps the turn of a wand about itself, which no picture shows, from being divided by zero
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,8 @@ def normal_equations(linear: Linearised, seen: Observations, state: State, prior
 
 def reduce(equations: NormalEquations, free: FreeUnknowns, damping: float = 0.0) -> Reduced:
     """Eliminate the poses; ``damping`` as in Levenberg-Marquardt, relative to the diagonals."""
-    floor = TINY * np.trace(equations.V, axis1=1, axis2=2)[:, None, None] + 1e-300
+    # the turn of a wand about itself, which no picture shows, is not divided by zero
+    floor = NEGLIGIBLE * np.trace(equations.V, axis1=1, axis2=2)[:, None, None] + 1e-300
     V_inverse = np.linalg.inv(equations.V + (damping * equations.V + floor) * np.eye(POSE))
     V_inverse = V_inverse * free.poses[:, None, None]
     weighted = equations.W @ V_inverse

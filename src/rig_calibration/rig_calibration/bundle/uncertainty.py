@@ -29,9 +29,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from capture_rig.lens import Array
+from capture_rig.lens import NEGLIGIBLE, Array
 
-from .adjustment import HUBER, TINY, FreeUnknowns, Prior, normal_equations, normalised_lengths, reduce, robust_rows
+from .adjustment import HUBER, FreeUnknowns, Prior, normal_equations, normalised_lengths, reduce, robust_rows
 from .state import POSE, Bools, Ints, Layout, Linearised, Observations, State
 
 POSITION = slice(3, 6)
@@ -69,7 +69,7 @@ def covariance(
     scaled = seen.weighted(np.array(1 / scale))
     equations = normal_equations(whitened(robust_rows(state, scaled), displacement_m), scaled, state, prior)
     told = np.linalg.eigvalsh(equations.V[free.poses])  # six numbers of a pose, five of a wand's
-    unknowns = int(free.shared.sum() + (told > TINY * told[:, -1:]).sum())
+    unknowns = int(free.shared.sum() + (told > NEGLIGIBLE * told[:, -1:]).sum())
     factor = variance_factor(normalised_lengths(state, scaled)[scaled.weight > 0], unknowns)
     reduced = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses))
     information, score = reduced.information / factor, reduced.score / factor

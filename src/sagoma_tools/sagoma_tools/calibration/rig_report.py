@@ -21,6 +21,7 @@ from rich.table import Table
 from capture_rig.camera import CameraModel
 from capture_rig.files import make_folder
 from capture_rig.rig import Volume, save_rig
+from capture_rig.visibility import CELL_M
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.world import CameraFigures
@@ -183,8 +184,6 @@ COLUMNS, DPI = 4, 90
 CAMERA, BOARD, BOX = "#1769aa", "#b22222", "#2e7d32"
 X, Y, Z = 0, 1, 2
 GRID_M, GRID_REACH_M, AXIS_M = 0.5, 3.0, 0.5
-SAMPLE_M = 0.05
-"""Length of the pieces of a line: so short that the lens bends none of them visibly."""
 GRID, VOLUME, FOUND, EXPECTED, AXES = "#ffc800", "#50c850", "#00ffff", "#ff3c3c", ("#ff0000", "#00ff00", "#0050ff")
 
 
@@ -291,7 +290,7 @@ def _draw_floor_line(
     """Draw a line through points (2,) on the floor or (3,) of the world as the lens bends it, where it is seen."""
     ends = np.array([[*point, 0.0][:3] for point in points])
     for start, end in pairwise(ends):
-        pieces = int(np.ceil(np.linalg.norm(end - start) / SAMPLE_M)) + 1
+        pieces = int(np.ceil(np.linalg.norm(end - start) / CELL_M)) + 1
         pixels = camera.project(start + np.linspace(0.0, 1.0, pieces)[:, None] * (end - start))
         pixels[np.abs(pixels).max(axis=1) > 4 * max(camera.width, camera.height)] = np.nan
         axes.plot(*pixels.T, color=colour, linewidth=width, label=label)

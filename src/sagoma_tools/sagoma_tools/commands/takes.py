@@ -18,8 +18,7 @@ from ekf_tracker.rep155 import body_id_of, human_urdf
 from ekf_tracker.urdf import body_urdf
 from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
-from stick_figure.body import STATURES_M, Body, load_body
-from virtual_studio.people import REFERENCE_STATURE_M
+from stick_figure.body import STATURES_M, TYPICAL_STATURE_M, Body, load_body
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
 from ..console import command_console, doing, plain_table
@@ -282,8 +281,8 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("urdf", help="print the body as a URDF with the joints of /mocap/joint_states")
     whose = parser.add_mutually_exclusive_group()
     whose.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
-    help_stature = f"an average body of this height in metres (default {REFERENCE_STATURE_M})"
-    whose.add_argument("--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help=help_stature)
+    help_stature = f"an average body of this height in metres (default {TYPICAL_STATURE_M})"
+    whose.add_argument("--stature", type=number("m", *STATURES_M), default=TYPICAL_STATURE_M, help=help_stature)
     help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")

@@ -20,12 +20,12 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, default_volume, save_rig
+from capture_rig.rigid import WRITTEN_TOLERANCE
 from capture_rig.session import VIDEO_SUFFIXES
 from capture_rig.video import Video
 from capture_rig.yaml_file import read_mapping
 
 from .formats import (
-    ROTATION_TOLERANCE,
     Instants,
     Mocap,
     between,
@@ -116,7 +116,7 @@ def read_calibration(path: Path, video: Path, name: str) -> CameraModel:
             what = f"is of images of {width} x {height} px, those of {video.name} are {opened.size_px}"
             raise InputError(what, where=str(path), remedy="Give the calibration of that camera.")
     K, L, distortion = numbers[2:11].reshape(3, 3), numbers[11:27].reshape(4, 4), numbers[27:32]
-    if np.abs(L[3] - [0, 0, 0, 1]).max() > ROTATION_TOLERANCE:
+    if np.abs(L[3] - [0, 0, 0, 1]).max() > WRITTEN_TOLERANCE:
         raise InputError(f"the last row of its L is {L[3].tolist()}", where=str(path), remedy=RIGID)
     T_camera_world = pose_of(L[:3, :3], L[:3, 3], path, RIGID)
     return CameraModel(name, width, height, K, "plumb_bob", distortion, T_camera_world)

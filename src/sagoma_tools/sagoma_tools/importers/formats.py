@@ -24,7 +24,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import read_text
 from capture_rig.rig import FLOOR_MARGIN_M, Volume
-from capture_rig.rigid import nearest_rotation
+from capture_rig.rigid import WRITTEN_TOLERANCE, nearest_rotation
 from capture_rig.session import write_table
 from capture_rig.yaml_file import save_mapping
 
@@ -61,7 +61,6 @@ def save_description(folder: Path, fps: float, source: str, kind: str, **more: A
 
 COPY_AGAIN = "Copy it again from the data set."
 CAL_NUMBERS = "fc(2) cc(2) alpha_c kc(5) R(9, row by row) T(3, mm)"
-ROTATION_TOLERANCE = 1e-3
 LINE = re.compile(r"^\s*\$\s*(\w+)\s*=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*$", re.MULTILINE)
 MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 OFS_NUMBERS = "image frame, mocap frame, mocap frames per image frame"
@@ -104,7 +103,7 @@ def pose_of(R: np.ndarray, translation_mm: np.ndarray, path: Path, meaning: str)
     Raises InputError naming the file for a matrix that is no rotation.
     """
     error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
-    if error > ROTATION_TOLERANCE:
+    if error > WRITTEN_TOLERANCE:
         what = f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}"
         raise InputError(what, where=str(path), remedy=f"{meaning} {COPY_AGAIN}")
     T_camera_world = np.eye(4)

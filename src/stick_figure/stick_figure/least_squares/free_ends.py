@@ -33,7 +33,7 @@ degrees used), and a forearm that turns about itself takes the hand's way, 0.2 o
 decide: a prior of 0.35 left forearms and calves pulled along (66 people of `models/random_people.py`, mean error of all
 points: 15.9 mm; 0.7: 15.2; 1.0: 15.1)."""
 CORRELATED = 200.0  # rays that count as one independent one: a set's are 1e7 / m^2, and worth six of a centimetre
-LARGEST_TURN = 1.0  # rad
+LARGEST_TURN = TURN_SD
 
 
 class FreeEnds(NamedTuple):

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_rig.kernel import kernel, njit
+from capture_rig.session import WRIST_FRACTION
 
 from .. import kernels
-from ..body import WRIST_FRACTION
 from .normal_equations import CHAIN_COLUMNS
 
 # Thresholds: docs/points.md for the places; the gate is that of a normal distribution.

@@ -18,11 +18,11 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.stamps import UTC, CaptureClock
 from rig_calibration.boards.board import Board
-from stick_figure.body import Body
+from stick_figure.body import TYPICAL_STATURE_M, Body
 
 from ..boards import BoardPrint, PosePath, carry, hands, on_floor, person_with, print_of, wave
 from ..motions.catalogue import MOTIONS
-from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
+from ..people import Capsules, VolumetricBody
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..recording.session import SESSION_FPS
 from ..rendering.board_camera import BoardCamera
@@ -66,7 +66,7 @@ class RoomScene(StudioScene):
         most_hz: float = RENDER_HZ,
         clock: CaptureClock = UTC,
     ) -> None:
-        body = Body.from_stature(REFERENCE_STATURE_M)
+        body = Body.from_stature(TYPICAL_STATURE_M)
         self._person = VolumetricBody(body)
         self._poses = MOTIONS[motion](body, seconds, SESSION_FPS).poses
         self._cameras = {camera.name: VirtualCamera(camera) for camera in rig.cameras}

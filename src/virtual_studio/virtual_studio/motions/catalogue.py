@@ -15,11 +15,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from capture_rig.rigid import rotation_matrix
-from stick_figure.body import Body
+from stick_figure.body import TYPICAL_STATURE_M, Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
-from ..people import ANKLE_HEIGHT, REFERENCE_STATURE_M, VolumetricBody
+from ..people import ANKLE_HEIGHT, VolumetricBody
 from . import everyday, hard_cases
 from .timeline import (
     ANGLES,
@@ -82,7 +82,7 @@ class HardCase:
     @property
     def duration_s(self) -> float:
         """Seconds from the T-pose through all activities once."""
-        activities = self.activities(VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))).activities
+        activities = self.activities(VolumetricBody(Body.from_stature(TYPICAL_STATURE_M))).activities
         return T_POSE_S + sum(activity.duration_s for activity in activities) - self.cut_s
 
 

@@ -24,10 +24,10 @@ from capture_rig.rigid import rotation_vector, transform
 from capture_rig.video import VideoFile
 from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
-from stick_figure.body import Body
+from stick_figure.body import TYPICAL_STATURE_M, Body
 
 from ..boards import Array, BoardPrint, PosePath, carry, hands, on_floor, person_with, print_of, wave
-from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
+from ..people import Capsules, VolumetricBody
 from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import Image, Sensor
 from .session import FOOTAGE, MADE_BY, SESSION_FPS, RenderSettings, is_own, write_session
@@ -97,7 +97,7 @@ def write_setup(
             films.film_carried()
             progress(MOVING)
         if motion is not None:
-            session, body = partial / SESSION, Body.from_stature(REFERENCE_STATURE_M)
+            session, body = partial / SESSION, Body.from_stature(TYPICAL_STATURE_M)
             settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
             write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
             (session / TRUTH).rename(partial / TRUTH)
@@ -184,7 +184,7 @@ class _BoardFilms:
     def film_carried(self) -> None:
         """Film the board that is carried through the volume with every camera."""
         plan, board, path = self._plan, self._floor, carry(self._floor, self._plan.moving_s, self._plan.seed)
-        person = VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))
+        person = VolumetricBody(Body.from_stature(TYPICAL_STATURE_M))
         names = [f"{camera.camera.name}{FOOTAGE}" for camera in self._cameras]
         with ExitStack() as stack:
             videos = [stack.enter_context(VideoFile(self._folder / MOVING / name, plan.fps)) for name in names]
