@@ -93,7 +93,7 @@ UNSYNCHRONISED = ("--set", "hull_server.tolerance_s=0.09", "--set", "hull_server
 def filmed(tmp_path_factory) -> Path:
     """What is filmed with the webcams: a board before each lens, on the floor, carried about; then somebody."""
     folder = tmp_path_factory.mktemp("webcams") / "room"
-    plan = FootagePlan(brief=True, fps=2.0, moving_s=10.0)
+    plan = FootagePlan(brief=True, moving_s=10.0)
     return write_setup(folder, ring(4, ceiling=False), plan, motion="tour", seconds=FILM_S)
 
 
@@ -156,7 +156,7 @@ def fisheye(camera: CameraModel) -> CameraModel:
 def test_fisheye_room_is_calibrated_by_boards_and_a_person_tracked_in_it(tmp_path):
     rig = ring(4, ceiling=False, size=SIZE)
     rig = Rig(tuple(map(fisheye, rig.cameras)), rig.volume)
-    plan = FootagePlan(fps=2.0, moving_s=20.0)
+    plan = FootagePlan(brief=True, moving_s=20.0)
     filmed = write_setup(tmp_path / "room", rig, plan, motion="tour", seconds=3.0)
     found = calibrated(filmed, tmp_path)
     T_floor_world, session = np.linalg.inv(read_truth_floor(filmed)), filmed / "session"

@@ -293,8 +293,19 @@ def _in_view(
     focal, half = camera.K.diagonal()[:2], np.array([camera.width, camera.height]) / 2
     room = np.maximum(half - EDGE_PX - (focal * np.abs(fields[:, :2]) / (distance_m + fields[:, 2:])).max(axis=0), 0.0)
     target = half - 0.5 + np.array([x, y]) * room * reach
-    ray = camera.R_camera_world @ camera.rays_world(target[None])[0]
+    ray = camera.R_camera_world @ _outermost_ray(camera, target)
     return board.centred(transform(R, distance_m / ray[2] * ray))
+
+
+INWARD_STEPS = 101  # from a pixel of a folded corner to the middle: four pixels each at most
+
+
+def _outermost_ray(camera: CameraModel, pixel: Array) -> Array:
+    """Return (3,) the direction, world frame, of a pixel; where the lens model has none, of the next one that has on
+    the way to the principal point."""
+    centre = camera.K[:2, 2]
+    rays = camera.rays_world(centre + np.linspace(1.0, 0.0, INWARD_STEPS)[:, None] * (pixel - centre))
+    return np.asarray(rays[np.isfinite(rays).all(axis=1)][0])
 
 
 def _grips(board: BoardPrint) -> tuple[Array, Array]:
