@@ -156,7 +156,7 @@ def fisheye(camera: CameraModel) -> CameraModel:
 def test_fisheye_room_is_calibrated_by_boards_and_a_person_tracked_in_it(tmp_path):
     rig = ring(4, ceiling=False, size=SIZE)
     rig = Rig(tuple(map(fisheye, rig.cameras)), rig.volume)
-    plan = FootagePlan(brief=True, moving_s=20.0)
+    plan = FootagePlan(brief=True, fps=5.0, moving_s=20.0)
     filmed = write_setup(tmp_path / "room", rig, plan, motion="tour", seconds=3.0)
     found = calibrated(filmed, tmp_path)
     T_floor_world, session = np.linalg.inv(read_truth_floor(filmed)), filmed / "session"
