@@ -8,6 +8,7 @@ from capture_rig.rig import Rig, Volume
 from capture_rig.visibility import RigVisibility
 from icp_tracker.acquisition import body_sizes
 from icp_tracker.acquisition.hull_source import HullSource, TPoseSettings
+from icp_tracker.acquisition.t_pose_sizes import with_t_pose
 from icp_tracker.articulated_fit import UNSEEN_SD
 from icp_tracker.body_uncertainty import covariance_of_sizes, widen_hidden
 from stick_figure.body import Body
@@ -53,6 +54,19 @@ def test_claimed_uncertainty_shrinks_where_the_hull_speaks_and_not_where_it_is_s
     arm = np.array([name in ("upper_arm", "forearm", "half_shoulder_width") for name in body_sizes.SIZES], float)
     assert np.sqrt(arm @ estimate.covariance @ arm) < estimate.sd[body_sizes.SIZES.index("upper_arm")] * 1.2
     assert (np.linalg.eigvalsh(estimate.covariance) > 0.0).all()
+
+
+def test_limbs_that_the_hull_lacks_leave_the_sizes_as_they_are_known():
+    body, pitch = Body.from_stature(1.75), 0.02
+    parts = person(body, standing(body, both_sides(hip_x=0.1)), 1.0)
+    voxels, points = studio().render(parts).voxels.points_world, forward(body, standing(body, both_sides(hip_x=0.1)))
+    known = body_sizes.prior_sizes(1.75)
+    whole = with_t_pose(known, points, voxels, pitch)
+    without_legs = with_t_pose(known, points, voxels[voxels[:, 2] > 1.0], pitch)
+    nothing = with_t_pose(known, points, voxels[:0], pitch)
+    assert np.linalg.det(1e4 * whole.covariance) < np.linalg.det(1e4 * known.covariance)
+    for lacking in (without_legs, nothing):
+        np.testing.assert_array_equal(lacking.sizes, known.sizes)
 
 
 # --- what the rig does not show ---------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.pose import Pose
 
-from ..articulated_fit import GUESS, ArticulatedSettings, make_data, rays_in_use
+from ..articulated_fit import ArticulatedSettings, make_data, rays_in_use
 from ..monitor.evidence import SAME_M
 from ..monitor.pose_library import (
     NATURAL_POSTURES,
@@ -42,7 +42,7 @@ from ..monitor.pose_library import (
 )
 from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
-from .pose_hypothesis import T_POSE_RAD, PoseHypothesis, Sight, farthest_stick
+from .pose_hypothesis import T_POSE_RAD, AcquisitionObservation, PoseHypothesis, farthest_stick
 from .t_pose_sizes import with_t_pose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, stance_of
 
@@ -50,7 +50,7 @@ from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, st
 # right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
 # times: judgement.
 FEWEST_VOXELS = 200
-FIRST_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
+STARTS = 12  # natural postures that are fitted at a time
 HYPOTHESES = 5  # hypotheses that are followed
 LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
 PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
@@ -136,15 +136,17 @@ class HullSource:
         if len(data.contour_rays.information) == 0:
             return InitialPose(reason="no outlines")
         cameras = rays_in_use(rays, self._visibility).camera
-        sight = Sight(body, data, cameras, voxels, pitch, stance, cut, self._visibility)
-        step_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
-        self._follow(sight, step_s)
+        dt_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
+        observed = AcquisitionObservation(
+            dt_s, body, data, self._settings, cameras, voxels, pitch, stance, cut, self._visibility
+        )
+        self._follow(observed)
         if not self._followed:
             self._began_ns = seen.stamp_ns
         if not self._followed or seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
             self._looked_ns = seen.stamp_ns
-            self._look(sight)
-        return self._answer(sight, (seen.stamp_ns - self._began_ns) / NS_PER_S)
+            self._look(observed)
+        return self._answer(observed, (seen.stamp_ns - self._began_ns) / NS_PER_S)
 
     # --- the body
 
@@ -168,25 +170,24 @@ class HullSource:
 
     # --- the hypotheses
 
-    def _look(self, seen: Sight) -> None:
+    def _look(self, seen: AcquisitionObservation) -> None:
         """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
         body, stance = seen.body, seen.stance
         crown, postures = stance.floor_world + body.stature, (*NATURAL_POSTURES, self._asked)
         guesses = natural_poses(body, stance.place_world, crown, postures)
-        free = replace(self._settings, prior=GUESS, max_iterations=FIRST_ITERATIONS)
 
         def cost(pose: Pose) -> float:
             return seen.evidence_of(pose).cost
 
-        fitted = sorted((seen.fitted(pose, free) for pose in sorted(guesses, key=cost)[:STARTS]), key=cost)
+        fitted = sorted((seen.fitted(pose, guess=True) for pose in sorted(guesses, key=cost)[:STARTS]), key=cost)
         best = fitted[0]
         others = [exchanged(body, best, WITH_SIDES), turned_around(best)]
         if self._followed:  # legs and arms that passed each other
             others += [exchanged(body, self._followed[0].pose, limbs) for limbs in (WITH_LEGS, WITH_ARMS)]
         ahead = np.arctan2(*stance.forward_world[::-1])
         asked = Pose.from_angles(best.position_world, rotation_matrix(np.array([0.0, 0.0, ahead])), self._asked)
-        held = (seen.fitted(pose, self._settings) for pose in (asked, turned_around(asked)))
-        free_ones = (best, *(seen.fitted(pose, free) for pose in others), *fitted[1:])
+        held = (seen.fitted(pose) for pose in (asked, turned_around(asked)))
+        free_ones = (best, *(seen.fitted(pose, guess=True) for pose in others), *fitted[1:])
         for hypothesis in [PoseHypothesis(pose, self._asked) for pose in held] + [*map(PoseHypothesis, free_ones)]:
             if self._is_new(body, hypothesis.pose):
                 self._followed.append(hypothesis)
@@ -205,18 +206,18 @@ class HullSource:
     def _is_new(self, body: Body, pose: Pose) -> bool:
         return all(farthest_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
 
-    def _follow(self, seen: Sight, step_s: float) -> None:
+    def _follow(self, seen: AcquisitionObservation) -> None:
         """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
         followed, self._followed = self._followed, []
         for hypothesis in followed:
-            hypothesis.follow(seen, step_s, self._settings)
+            hypothesis.follow(seen)
         for hypothesis in sorted(followed, key=lambda one: one.mean_cost):
             if self._is_new(seen.body, hypothesis.pose):
                 self._followed.append(hypothesis)
 
     # --- the decision
 
-    def _answer(self, seen: Sight, watched_s: float) -> InitialPose:
+    def _answer(self, seen: AcquisitionObservation, watched_s: float) -> InitialPose:
         """Return the best hypothesis if it was watched, or holds a T-pose, explains enough, and no rival faces
         elsewhere."""
         best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
@@ -257,14 +258,14 @@ class HullSource:
         self.reset()
         return InitialPose(best.pose, body, "", estimate, is_fitted=True)
 
-    def _best(self, seen: Sight) -> PoseHypothesis:
+    def _best(self, seen: AcquisitionObservation) -> PoseHypothesis:
         """Return the best hypothesis; one that is hardly worse and holds a T-pose is meant."""
         best = self._followed[0]
         rivals = [one for one in self._followed if one.mean_cost < best.mean_cost + SURE_SHARE]
         asked = (one for one in rivals if farthest_stick(seen.body, one.pose, self._asked)[1] < T_POSE_RAD)
         return best if seen.cut else next(asked, best)
 
-    def _hold(self, seen: Sight, pose: Pose) -> str:
+    def _hold(self, seen: AcquisitionObservation, pose: Pose) -> str:
         """Count the sets in a row that show the pose that is asked for, held still; return what is amiss."""
         stick, off = farthest_stick(seen.body, pose, self._asked)
         if seen.cut or off >= T_POSE_RAD:
@@ -276,14 +277,14 @@ class HullSource:
             self._held = []
         return f"stand still: moved by {moved_m:.2f} m"
 
-    def _try_girths(self, seen: Sight) -> None:
+    def _try_girths(self, seen: AcquisitionObservation) -> None:
         """Take the one of GIRTHS with which the best pose explains clearly most of a set; what it explains and where it
         is seen then count as if it had been so thick in all sets."""
         tried, best_pose = list[PoseHypothesis](), self._followed[0].pose
         for girth in GIRTHS:
             body = seen.body if girth == 1.0 else replace(seen.body, build=build_of_girth(girth))
             other = replace(seen, body=body)
-            tried.append(PoseHypothesis(other.fitted(best_pose, self._settings)))
+            tried.append(PoseHypothesis(other.fitted(best_pose)))
             tried[-1].add(other)
         best = max(range(len(GIRTHS)), key=lambda girth: tried[girth].share)
         if tried[best].share > tried[0].share + BETTER_SHARE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,13 +12,11 @@ from capture_rig.rigid import rotation_matrix
 from capture_rig.visibility import RigVisibility
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import HEAD, STICK_NAMES
 
-from ..articulated_fit import ArticulatedSettings, minimise
-from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
+from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, Observation, ray_cost
 from .truncation import FEET, Stance
 
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
@@ -27,6 +26,7 @@ STEP_M, STEP_S = 0.4, 1.0  # way of about a second of somebody who walks, and do
 # the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
 FEET_EVIDENCE = 5.0  # log-likelihood ratio of the feet's heading from which they count about that much
+FIRST_ITERATIONS = 20  # of fits that start from a natural posture
 SEEN_RAYS = 3  # explained rays that show a stick to a camera
 T_POSE_RAD = 0.6  # from where the sticks of a T-pose point: arms may be low, elbows bent, fits to three views err
 EXPLAINED_COST = ray_cost(EXPLAINED_M, GATE_M)
@@ -39,29 +39,20 @@ FOOT_POINTS = [13, 14]
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """What one frame set shows of somebody who is looked for.
+class AcquisitionObservation(Observation):
+    """One frame set against which first poses are assessed.
 
     body : as is known by now. cameras (n,) : of the data's rays. voxels (m, 3) m, world, of an edge ``pitch``, m.
     cut : the parts of the body that the rig does not show.
     """
 
-    body: Body
-    data: Data
+    guess_iterations: ClassVar[int] = FIRST_ITERATIONS
     cameras: np.ndarray
     voxels: np.ndarray
     pitch: float
     stance: Stance
     cut: tuple[str, ...]
     visibility: RigVisibility | None
-
-    def fitted(self, pose: Pose, settings: ArticulatedSettings) -> Pose:
-        """Return the pose that the fit reaches from another one."""
-        return minimise(self.body, pose, self.data, settings)[0]
-
-    def evidence_of(self, pose: Pose) -> Evidence:
-        """Weigh a pose against this set."""
-        return evidence_of(Figure.of(self.body), pose, self.data)
 
     def share_seen(self, pose: Pose, evidence: Evidence, explained: np.ndarray) -> float:
         """Return the share of a pose's sticks, as the cameras that look there see them, which explained rays show."""
@@ -140,16 +131,16 @@ class PoseHypothesis:
         """Whether another one faces another way."""
         return float(self.pose.R_world_torso[:, 0] @ other.pose.R_world_torso[:, 0]) < 0.5
 
-    def follow(self, seen: Sight, step_s: float, settings: ArticulatedSettings) -> None:
+    def follow(self, seen: AcquisitionObservation) -> None:
         """Fit the pose to the next set."""
-        before, self.pose = self.pose, seen.fitted(self.pose, settings)
+        before, self.pose = self.pose, seen.fitted(self.pose)
         if self.angles is not None and farthest_stick(seen.body, self.pose, self.angles)[1] >= T_POSE_RAD:
-            self.pose = seen.fitted(held(before, self.angles), settings)
+            self.pose = seen.fitted(upright_pose(before, self.angles))
         moved = self.pose.position_world - before.position_world
-        self.way = self.way * math.exp(-step_s / STEP_S) + float(moved[:2] @ before.R_world_torso[:2, 0])
+        self.way = self.way * math.exp(-seen.dt_s / STEP_S) + float(moved[:2] @ before.R_world_torso[:2, 0])
         self.add(seen)
 
-    def add(self, seen: Sight) -> None:
+    def add(self, seen: AcquisitionObservation) -> None:
         """Add a set's evidence; the rays count by their certainty: torn outlines say little."""
         evidence, certainty = seen.evidence_of(self.pose), seen.data.contour_rays.information
         certainty = certainty / max(float(certainty.sum()), 1e-12)
@@ -161,7 +152,7 @@ class PoseHypothesis:
         self.sets += 1
 
 
-def held(pose: Pose, angles: np.ndarray) -> Pose:
+def upright_pose(pose: Pose, angles: np.ndarray) -> Pose:
     """Return a pose upright with these angles (18,), where another one stands and facing as it does."""
     heading = math.atan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0])
     return Pose.from_angles(pose.position_world, rotation_matrix(np.array([0.0, 0.0, heading])), angles)
@@ -170,7 +161,7 @@ def held(pose: Pose, angles: np.ndarray) -> Pose:
 def farthest_stick(body: Body, pose: Pose, angles: np.ndarray) -> tuple[str, float]:
     """Return the stick of a body, but the head, that points farthest from where it does upright with these angles
     (18,), and by what angle, rad."""
-    upright = held(pose, angles)
+    upright = upright_pose(pose, angles)
     here, there = (np.diff(sticks(body, one), axis=1)[:, 0] / body.lengths[:, None] for one in (pose, upright))
     cosines = np.delete((here * there).sum(axis=1), HEAD)
     return np.delete(STICK_NAMES, HEAD)[cosines.argmin()], float(np.arccos(min(cosines.min(), 1.0)))

@@ -9,6 +9,7 @@ alone: a body that faces backward explains most of the outline too. Joints that 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,12 +88,13 @@ def match_to(figure, state, data):
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One frame set as the monitor assesses it, ``dt_s`` after the one before."""
+    """One frame set against which poses of a body are assessed, ``dt_s`` after the one before."""
 
     dt_s: float
     body: Body
     data: Data
     settings: ArticulatedSettings
+    guess_iterations: ClassVar[int] = GUESS_ITERATIONS
 
     def evidence_of(self, pose: Pose, matched: RayMatch | None = None) -> Evidence:
         """Return the evidence about a pose; ``matched`` : as of `evidence_of`."""
@@ -100,7 +102,7 @@ class Observation:
 
     def fitted(self, pose: Pose, guess: bool = False) -> Pose:
         """Return the pose that the fit reaches from another one, more freely if that is only a guess."""
-        settings = replace(self.settings, prior=GUESS, max_iterations=GUESS_ITERATIONS) if guess else self.settings
+        settings = replace(self.settings, prior=GUESS, max_iterations=self.guess_iterations) if guess else self.settings
         return minimise(self.body, pose, self.data, settings)[0]
 
 

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -106,7 +107,7 @@ class StudioProcess:
         self.close()
 
 
-class LiveInput:
+class LiveInput(ABC):
     """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose.
 
     in_real_time : whether a frame's stamp is the time of its exposure, so that its age is a latency.
@@ -118,29 +119,30 @@ class LiveInput:
     def __init__(self, session_folder: str | Path) -> None:
         self.session: Session = load_session(session_folder)
 
+    @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         """Return the nodes that process these frames."""
-        raise NotImplementedError
 
+    @abstractmethod
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        """Prepare the active graph for the playback, and give it time to find the rate that it holds; files need
-        neither, and are played no faster than it answers."""
+        """Prepare the active graph for the playback, and give it time to find the rate that it holds."""
 
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
         return {}
 
+    @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
 
         None where the input has no clock of its own: the first stamp is then that of frame 0.
         """
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         """Start the processes that it runs."""
         return self
 
+    @abstractmethod
     def __exit__(self, *error: object) -> None:
         """End them."""
 
@@ -154,6 +156,12 @@ class FootageInput(LiveInput):
 
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
+
+    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
+        """Do nothing: files train no background, and are played no faster than the graph answers."""
+
+    def __exit__(self, *error: object) -> None:
+        """Do nothing: no process was started."""
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
         expected, seen = frame_count(self.session), -1
