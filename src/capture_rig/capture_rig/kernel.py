@@ -12,10 +12,7 @@ the kernel alone, and would go on calling code that has changed in another file.
 from __future__ import annotations
 
 import hashlib
-import os
 import re
-import stat
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
@@ -256,30 +253,8 @@ class _UserFolder(_OfAllSources, UserWideCacheLocator):
     """``~/.cache/numba``."""
 
 
-class _TemporaryFolder(_OfAllSources, UserWideCacheLocator):
-    """A folder of this user's alone in the system's temporary one: of a user without a home who may not write here."""
-
-    def __init__(self, function: Callable[..., Any], file: str) -> None:
-        super().__init__(function, file)
-        self._cache_path = os.path.join(temporary_folder(), self.get_suitable_cache_subpath(file))
-
-    def ensure_cache_path(self) -> None:
-        """Raises OSError where somebody else could have put code into the folder."""
-        folder = temporary_folder()
-        Path(folder).mkdir(mode=0o700, exist_ok=True)
-        found = os.lstat(folder)
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-            raise PermissionError(f"{folder} is not this user's alone")
-        super().ensure_cache_path()
-
-
-def temporary_folder() -> str:
-    """Return the folder for this user's kernels where neither the checkout nor a home can be written."""
-    return os.path.join(tempfile.gettempdir(), f"sagoma_kernels_{os.getuid()}")
-
-
 class _Files(CompileResultCacheImpl):
-    _locator_classes: list[type[object]] = [_GivenFolder, _BesideSource, _UserFolder, _TemporaryFolder]  # noqa: RUF012
+    _locator_classes: list[type[object]] = [_GivenFolder, _BesideSource, _UserFolder]  # noqa: RUF012
 
 
 class KernelCache(FunctionCache):

@@ -13,7 +13,6 @@ import pytest
 from numba.core import event
 
 import capture_rig
-from capture_rig import kernel as kernel_module
 from capture_rig.kernel import _KernelDispatcher, _PartDispatcher, kernel, njit
 
 LEAF = """
@@ -99,38 +98,6 @@ def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
     index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nPlay\n.")
     assert run(checkout) == [20, -1, 0, 1]
     assert run(checkout) == [20, -1, 1, 1]
-
-
-@pytest.mark.slow
-def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_can_be_written(checkout, tmp_path):
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    for package in ("capture_rig/capture_rig", "play/play"):
-        shutil.rmtree(checkout / package / "__pycache__", ignore_errors=True)
-        (checkout / package / "__pycache__").write_text("no folder")  # what also stops root
-    blocked = tmp_path / "no_home"
-    blocked.write_text("no folder")
-    places = {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked / "cache"), "TMPDIR": str(temporary)}
-    assert run(checkout, **places) == [20, -1, 0, 0]
-    assert run(checkout, **places) == [20, -1, 1, 1]
-    (folder,) = temporary.glob("sagoma_kernels_*")
-    assert folder.stat().st_mode & 0o777 == 0o700
-
-
-@pytest.mark.parametrize("fault", ["open to others", "link", "of somebody else"])
-def test_temporary_folder_that_others_could_fill_is_refused(fault, tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_module.tempfile, "gettempdir", lambda: str(tmp_path))
-    folder = Path(kernel_module.temporary_folder())
-    if fault == "link":
-        (tmp_path / "theirs").mkdir(mode=0o700)
-        folder.symlink_to(tmp_path / "theirs")
-    else:
-        folder.mkdir(mode=0o755 if fault == "open to others" else 0o700)
-    if fault == "of somebody else":
-        uid = os.getuid()
-        monkeypatch.setattr(kernel_module, "temporary_folder", lambda: str(folder))
-        monkeypatch.setattr(kernel_module.os, "getuid", lambda: uid + 1)
-    assert kernel_module._TemporaryFolder.from_function(run, __file__) is None
 
 
 @njit(cache=False)
