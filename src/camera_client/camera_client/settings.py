@@ -98,7 +98,6 @@ class AravisSettings:
         low=-1000,
         high=1000,
     )
-    chunks: bool = setting(False, "Take time and exposure from the chunks of each frame")
 
     packet_size: int = setting(0, "Bytes of a stream packet; 0: the largest that gets through", low=0, high=16404)
     packet_delay_ns: int = setting(-1, "Pause between the packets of a frame", unit="ns", low=-1, high=10**9)

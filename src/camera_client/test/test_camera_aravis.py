@@ -80,16 +80,16 @@ def test_camera_that_dies_while_it_is_set_up_is_unavailable(gige_camera):
 # --- features ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("generation", ["sfnc", "old"])
-def test_settings_are_set_and_read_back_whatever_the_generation_calls_them(gige_camera, generation):
-    camera = gige_camera(generation=generation, auto_functions="Continuous")
+def test_settings_are_set_and_read_back(gige_camera):
+    camera = gige_camera()
     settings = {"exposure_us": 5000.0, "gain": 6.0, "frame_rate": 40.0, "packet_delay_ns": 2000}
-    with source_of(camera, **settings) as source:
-        assert source.details["exposure_us"] == "5000" and float(source.details["gain"]) == 6
+    automatic = ["ExposureAuto=Continuous", "GainAuto=Continuous"]  # which locks what they steer
+    with source_of(camera, features=automatic, **settings) as source:
+        assert source.details["exposure_us"] == "5000" and source.details["gain"] == "6"
         registers = registers_of(camera)
-        assert registers.real("ExposureTime") == 5000 and registers.real("AcquisitionFrameRate") == 40
-        assert float(registers["Gain"]) == 6 and registers.integer("GevSCPD") == 2000
-        assert registers.integer("ExposureAuto") == registers.integer("GainAuto") == 0  # switched off
+        read = [registers[name] for name in ("ExposureTime", "Gain", "AcquisitionFrameRate", "GevSCPD")]
+        assert read == [5000.0, 6.0, 40.0, 2000]
+        assert registers.label("ExposureAuto") == registers.label("GainAuto") == "Off"
 
 
 def test_features_are_set_in_the_order_given_before_the_named_settings(gige_camera):
@@ -153,13 +153,7 @@ def test_packet_size_is_negotiated_or_taken_as_given(gige_camera):
 # --- formats -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name, most",
-    [
-        *((f"Mono{bits}", 0) for bits in ("8", "10", "12", "10p", "12p", "10Packed", "12Packed")),
-        *(("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), *((f"Bayer{row}8", 3) for row in ("RG", "GR", "GB", "BG"))),
-    ],
-)
+@pytest.mark.parametrize("name, most", [("Mono8", 0), ("Mono12", 0), ("RGB8", 0), ("BayerRG8", 3)])
 def test_every_format_gives_the_same_picture(gige_camera, name, most):
     scene = PatternScene(256, 192, colour=not name.startswith("Mono"))
     (frame,) = taken(source_of(gige_camera(scene), pixel_format=name), 1)

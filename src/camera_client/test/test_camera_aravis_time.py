@@ -8,7 +8,6 @@ import pytest
 from camera_pictures import frames_of, taken
 
 from camera_client.frame_source import SourceUnavailable
-from camera_client.gige.features import AravisFeatures
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
@@ -118,19 +117,6 @@ def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_sou
     assert all(b.stamp_ns > a.stamp_ns for a, b in pairwise(frames))
 
 
-def test_chunks_give_each_frame_its_own_exposure(gige_camera):
-    camera = gige_camera(nominal_exposure_us=2000, ptp_settle_s=SETTLE_S)
-    with source_of(camera, stamp_source="ptp", chunks=True, exposure_us=2000.0) as source:
-        source.start()
-        frames = frames_of(source, 5)
-        registers = camera.loop.call(lambda: camera.registers)
-        camera.loop.call(lambda: registers.__setitem__("ExposureTime", 12000.0))  # as an auto function would
-        frames += frames_of(source, 20)
-    errors = np.sort(np.abs(errors_ns(frames)))
-    assert errors[-2] < 1000  # the simulated camera gives the frame under way when it is changed the new exposure
-    assert source.counters["chunk_errors"] == 0
-
-
 # --- synchronisation ---------------------------------------------------------------------------------------------
 
 
@@ -186,11 +172,7 @@ def assert_begin_at_multiples_of_ptp_time(instants_ns):
     assert np.abs((begins_ns + PERIOD_NS // 2) % PERIOD_NS - PERIOD_NS // 2).max() < 1000
 
 
-@pytest.mark.parametrize("without", [(), ("SyncFreeRunTimerEnable",)])
-def test_ptp_free_run_exposes_at_multiples_of_the_period_of_the_ptp_clock(three_cameras, without, monkeypatch):
-    """Whichever way the camera has to begin at a given time."""
-    kind = AravisFeatures.kind
-    monkeypatch.setattr(AravisFeatures, "kind", lambda self, name: None if name in without else kind(self, name))
+def test_ptp_exposes_at_multiples_of_the_period_of_the_ptp_clock(three_cameras):
     assert_begin_at_multiples_of_ptp_time(run_in("ptp", three_cameras[0], stamp_source="ptp")[1])
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.gige.features import ALIASES, DeviceRefusal, Features, Kind, spellings
-from camera_client.gige.triggers import await_ptp, ptp_status
+from camera_client.gige.triggers import TIMER_LEAD_NS, await_ptp, ptp_status, synchronise
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 
@@ -183,6 +183,20 @@ def test_every_alias_belongs_to_one_family():
     assert len(names) == len(set(names))
     assert spellings("GevIEEE1588") == ("GevIEEE1588", "PtpEnable")
     assert spellings("Unheard") == ("Unheard",)
+
+
+def test_camera_with_a_free_run_timer_begins_at_a_multiple_of_the_period_of_the_ptp_clock():
+    words = ("TriggerRateAbs", "StartTimeLow", "StartTimeHigh")
+    timer = {f"SyncFreeRunTimer{word}": feature(Kind.INTEGER, 0) for word in words}
+    device = Device(
+        SyncFreeRunTimerEnable=feature(Kind.BOOLEAN, False), SyncFreeRunTimerUpdate=feature(Kind.COMMAND), **timer
+    )
+    now_ns = 1_800_000_000_003_000_000
+    synchronise(Features(device, "X"), AravisSettings(sync="ptp", frame_rate=50.0), lambda: now_ns)
+    (rate, low, high), (update, enable) = device.log[:3], device.log[3:]
+    start_ns = high[1] << 32 | low[1]
+    assert rate[1] == 50 and start_ns % 20_000_000 == 0 and 0 < start_ns - now_ns - TIMER_LEAD_NS <= 20_000_000
+    assert (update, enable) == ("SyncFreeRunTimerUpdate", ("SyncFreeRunTimerEnable", True))
 
 
 class PtpDevice(Device):

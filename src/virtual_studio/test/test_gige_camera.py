@@ -22,8 +22,8 @@ def test_every_feature_can_be_read_through_aravis(address):
     with SimulatedCamera(address, PatternScene(colour=True)) as simulated:
         device = Aravis.GvDevice.new(inet("127.0.0.1"), inet(address))
         camera = Aravis.Camera.new_with_device(device)
-        features = [f for f in simulated.features if f.name and f.category and not f.chunk]
-        assert len(features) > 55
+        features = [f for f in simulated.features if f.category]
+        assert len(features) > 50
         readers = {
             Aravis.GcFloat: camera.get_float,
             Aravis.GcEnumeration: camera.get_string,
@@ -41,7 +41,7 @@ def test_every_feature_can_be_read_through_aravis(address):
             if isinstance(node, Aravis.GcEnumeration):
                 assert value in camera.dup_available_enumerations_as_strings(feature.name)
             elif not feature.volatile and feature.bits is None:
-                assert value == simulated.registers[feature.key], feature.name
+                assert value == simulated.registers[feature.name], feature.name
         assert (camera.get_vendor_name(), camera.get_device_serial_number()) == ("Sagoma", "SIM00001")
 
 
@@ -57,7 +57,7 @@ class Imaging:
     def of(self, picture, **values):
         for key, value in values.items():
             self.registers[key] = value
-        self.pipeline.region.refresh()
+        self.pipeline.refresh()
         return self.pipeline.capture(picture)
 
 
@@ -91,12 +91,12 @@ def test_sensor_noise_has_the_deviation_that_was_set_and_stays_under_the_lens_ca
 
 def test_payload_follows_region_and_format():
     camera = Imaging(96, 64)
-    camera.of(np.zeros((64, 96), np.uint8), Width=32, PixelFormat=int(PixelFormat.Mono12p))
-    assert camera.registers.integer("PayloadSize") == 32 * 64 * 12 // 8
+    camera.of(np.zeros((64, 96), np.uint8), Width=32, PixelFormat=int(PixelFormat.Mono12))
+    assert camera.registers.integer("PayloadSize") == 32 * 64 * 2
 
 
 def address_of(camera, key):
-    return next(f.address for f in camera.features if f.key == key and f.has_register)
+    return next(f.address for f in camera.features if f.name == key)
 
 
 def test_geometry_is_locked_while_frames_are_taken(address):

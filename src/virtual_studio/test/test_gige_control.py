@@ -14,7 +14,7 @@ from gige_vision import bootstrap
 from gige_vision import gvcp as gvcp_payloads
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
-from virtual_studio.gige.device import OLD, SFNC, Device, Faults
+from virtual_studio.gige.device import Device, Faults
 from virtual_studio.gige.feature_table import feature_table
 from virtual_studio.gige.gvcp_server import ControlPrivilege
 from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers, genicam_xml
@@ -37,7 +37,7 @@ def client(camera):
 
 
 def address_of(camera, key):
-    return next(f.address for f in camera.features if f.key == key and f.has_register)
+    return next(f.address for f in camera.features if f.name == key)
 
 
 def test_nobody_writes_without_control(camera, client):
@@ -144,8 +144,8 @@ def test_action_for_others_is_not_answered(camera, client):
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
 
 
-def features_of(generation=SFNC, colour=True):
-    return feature_table(CameraSettings(generation=generation), "127.0.0.9", 640, 480, colour)
+def features_of(colour=True):
+    return feature_table(CameraSettings(), "127.0.0.9", 640, 480, colour)
 
 
 def registers():
@@ -158,19 +158,17 @@ def status_of(action):
     return refused.value.status
 
 
-@pytest.mark.parametrize("generation", [SFNC, OLD])
-def test_description_refers_to_what_it_describes_and_to_readable_registers(generation):
-    features = features_of(generation)
+def test_description_refers_to_what_it_describes_and_to_readable_registers():
+    features = features_of()
     root, memory = ElementTree.fromstring(genicam_xml(features, "V", "M")), Registers(features)
     nodes = {node.get("Name") for node in root.iter() if node.get("Name") and node.tag != NAMESPACE + "EnumEntry"}
-    tags = ("pFeature", "pValue", "pMin", "pMax", "pPort", "pSelected")
+    tags = ("pFeature", "pValue", "pMax", "pPort")
     references = [node.text for tag in tags for node in root.iter(NAMESPACE + tag)]
-    assert len(references) > 140 and set(references) <= nodes
+    assert len(references) > 120 and set(references) <= nodes
     registers = [
         node for tag in ("IntReg", "FloatReg", "MaskedIntReg", "StringReg") for node in root.iter(NAMESPACE + tag)
     ]
-    registers = [node for node in registers if node.findtext(NAMESPACE + "pPort") == "Device"]
-    assert len(registers) > 60
+    assert len(registers) > 50
     for node in registers:
         address, length = int(node.findtext(NAMESPACE + "Address"), 16), int(node.findtext(NAMESPACE + "Length"))
         assert len(memory.read(address, length)) == length, node.get("Name")
@@ -178,7 +176,7 @@ def test_description_refers_to_what_it_describes_and_to_readable_registers(gener
 
 def test_accesses_are_refused_with_the_status_that_says_why():
     memory = registers()
-    at = {f.key: f.address for f in features_of() if f.has_register}
+    at = {f.name: f.address for f in features_of()}
     assert status_of(lambda: memory.read(0x9000, 4)) == Status.INVALID_ADDRESS
     assert status_of(lambda: memory.read(at["Width"] + 1, 4)) == Status.BAD_ALIGNMENT
     assert status_of(lambda: memory.read(at["Width"], 3)) == Status.BAD_ALIGNMENT
@@ -203,5 +201,5 @@ def test_refused_write_of_several_registers_changes_none_of_them():
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_colour_formats_are_offered_by_a_colour_camera_alone(colour):
-    formats = next(f for f in features_of(colour=colour) if f.key == "PixelFormat")
+    formats = next(f for f in features_of(colour=colour) if f.name == "PixelFormat")
     assert formats.kind is Kind.ENUMERATION and ("BayerRG8" in dict(formats.entries)) is colour

@@ -11,7 +11,7 @@ import pytest
 from gige_client import eventually
 
 from gige_vision.gvcp import Status
-from gige_vision.gvsp import Content, Payload, image_leader, image_trailer, payload_capacity
+from gige_vision.gvsp import Content, image_leader, image_trailer, payload_capacity
 from virtual_studio.gige.camera import feature_table
 from virtual_studio.gige.device import CameraSettings, Device, Faults
 from virtual_studio.gige.loop import EventLoop
@@ -19,7 +19,7 @@ from virtual_studio.gige.registers import Registers
 from virtual_studio.gige.stream import StreamChannel
 
 DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
-LEADER, TRAILER = image_leader(5, 0x01080001, (100_003, 1), (0, 0), Payload.IMAGE), image_trailer(1)
+LEADER, TRAILER = image_leader(5, 0x01080001, (100_003, 1), (0, 0)), image_trailer(1)
 
 
 class Header(NamedTuple):

@@ -120,7 +120,7 @@ def test_status_tells_who_controls_a_camera(studio, control):
         client.take_control()
         client.write(bootstrap.STREAM_DESTINATION, 0x7F000001)
         client.write(bootstrap.STREAM_PORT, receiver.getsockname()[1])
-        client.write(next(f.address for f in camera.features if f.key == "AcquisitionStart"), 1)
+        client.write(next(f.address for f in camera.features if f.name == "AcquisitionStart"), 1)
         eventually(lambda: camera.counters["frames_sent"])
         entry = control({"do": "status"})["cameras"]["cam01"]
         assert entry["controller"].startswith("127.0.0.1:") and entry["streaming"] is True

@@ -11,11 +11,8 @@ from gige_client import eventually
 from hypothesis import given
 from hypothesis import strategies as st
 
-from virtual_studio.gige import CameraSettings, EventLoop, Faults, Playback, TriggerWire
-from virtual_studio.gige.acquisition import CameraClock, Timing, next_multiple
-from virtual_studio.gige.camera import feature_table
-from virtual_studio.gige.imaging import ExposureControl
-from virtual_studio.gige.registers import Registers
+from virtual_studio.gige import CameraSettings, EventLoop, Faults, PatternScene, Playback, SimulatedCamera, TriggerWire
+from virtual_studio.gige.acquisition import CameraClock, next_multiple
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_800_000_000 * SECOND_NS
@@ -71,21 +68,10 @@ def test_ptp_goes_through_listening_to_slave_and_then_counts_tai(now):
     assert clock.stamp(now.ns) < 10 * SECOND_NS
 
 
-def timing(**values):
-    settings = CameraSettings(ptp_settle_s=0.0, ptp_offset_ns=0)
-    registers = Registers(feature_table(settings, "127.0.0.1", 640, 480, colour=False))
-    clock = CameraClock(settings, Faults())
-    clock.enable_ptp(True)
-    for key, value in values.items():
-        registers[key] = value
-    return Timing(registers, clock, ExposureControl(registers, settings)), registers
-
-
-def test_exposure_longer_than_the_period_slows_the_camera_down():
-    slow, _ = timing(AcquisitionFrameRate=100.0, ExposureTime=25_000.0)
-    assert slow.period_s == Fraction(25, 1000)
-    fast, _ = timing(AcquisitionFrameRate=100.0, ExposureTime=5_000.0)
-    assert fast.period_s == Fraction(10, 1000)
+@pytest.mark.parametrize("exposure_us, rate", [(25_000.0, 40.0), (5_000.0, 100.0)])
+def test_exposure_longer_than_the_period_slows_the_camera_down(address, exposure_us, rate):
+    with SimulatedCamera(address, PatternScene(), CameraSettings(frame_rate=100.0, exposure_us=exposure_us)) as camera:
+        assert camera.status()["frame_rate"] == rate
 
 
 @given(st.integers(-5, 50), rates)

@@ -20,7 +20,6 @@ ERROR_DOMAIN = "arv-device-error-quark"
 FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
 ON, OFF = ("true", "1", "on", "yes"), ("false", "0", "off", "no")
 _SWITCH_WORDS = {True: ("On", "True", "Enable", "Enabled"), False: ("Off", "False", "Disable", "Disabled")}
-MOST_NAMES = 24  # of an enumeration, in an error
 
 
 class DeviceRefusal(Exception):
@@ -223,6 +222,11 @@ class Features:
             words = tuple(word for word in words if word in self.access.choices(found)) or words
         return self.set(found, words[0], key)
 
+    def switch_off(self, name: str, key: str) -> None:
+        """Switch a feature off that may be absent, unless it is off already."""
+        if self.read(name) not in (None, False, 0, "Off"):
+            self.switch(name, False, key)
+
     def run(self, name: str, key: str) -> None:
         """Run a command. Raises InputError when there is none, or it is refused."""
         found = self.require(name, key)
@@ -270,8 +274,7 @@ class Features:
         """Return what the feature takes, as a sentence; empty where the device does not describe it."""
         try:
             if self.access.kind(name) is Kind.ENUMERATION:
-                names = self.access.choices(name)
-                return f"Allowed: {', '.join(names[:MOST_NAMES])}{', ...' if len(names) > MOST_NAMES else ''}. "
+                return f"Allowed: {', '.join(self.access.choices(name))}. "
             limits, step = self.access.limits(name), self.access.step(name)
         except DeviceRefusal:
             return ""
@@ -311,15 +314,8 @@ ALIASES: tuple[tuple[str, ...], ...] = (
     ("PtpEnable", "GevIEEE1588"),
     ("PtpStatus", "GevIEEE1588Status"),
     ("PtpDataSetLatch", "GevIEEE1588DataSetLatch"),
-    ("PtpOffsetFromMaster", "GevIEEE1588OffsetFromMaster"),
-    ("TimestampLatch", "GevTimestampControlLatch"),
-    ("TimestampLatchValue", "GevTimestampValue"),
-    ("TimestampReset", "GevTimestampControlReset"),
     ("SyncFreeRunTimerTriggerRateAbs", "SyncFreeRunTimerTriggerRate"),
-    ("DeviceSerialNumber", "DeviceID"),
     ("DeviceTemperature", "TemperatureAbs"),
-    ("ChunkExposureTime", "ChunkExposureTimeAbs"),
-    ("UserSetDefault", "UserSetDefaultSelector"),
 )
 _FAMILY = {name: family for family in ALIASES for name in family}
 

@@ -36,9 +36,7 @@ def switch_triggers_off(features: Features) -> None:
         if selector:
             features.ensure(selector, name, "aravis.sync")
         features.ensure(mode, "Off", "aravis.sync")
-    timer = features.find("SyncFreeRunTimerEnable")
-    if timer is not None and features.read(timer) not in (False, 0, "Off"):
-        features.switch(timer, False, "aravis.sync")
+    features.switch_off("SyncFreeRunTimerEnable", "aravis.sync")
 
 
 def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:

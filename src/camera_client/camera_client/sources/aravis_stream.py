@@ -16,7 +16,6 @@ from ..frame_source import REPORT_PERIOD_S, FrameStatistics, Image
 from ..gige.camera_setup import CameraSetup
 from ..gige.capture_time import SECOND, FrameTimes
 from ..gige.discovery import enlarge_receive_buffer
-from ..gige.features import spellings
 from ..gige.pixel_formats import to_image
 from ..settings import AravisSettings
 
@@ -56,7 +55,6 @@ class AravisStream:
         *(f"incomplete_{status.lower()}" for status in STATUSES),
         "incomplete_other",
         "wrong_format",
-        "chunk_errors",
         *INFOS.values(),
     )
 
@@ -69,9 +67,7 @@ class AravisStream:
         self._format_code = camera.get_pixel_format()
         self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
         self._image_bytes = PixelFormat[setup.pixel_format].image_bytes(setup.width, setup.height)
-        self._chunks = camera.create_chunk_parser() if setup.chunks else None
         self._ticks_per_second = self._device.get_timestamp_tick_frequency() or SECOND
-        self._exposure_chunk = self._chunk_name("ExposureTime")
         self._set_packets()
         # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
         camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
@@ -131,7 +127,8 @@ class AravisStream:
         self._statistics.add(frame_id, complete=image is not None)
         if image is None:
             return None
-        return GrabbedFrame(image, frame_id, self._times(buffer))
+        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
+        return GrabbedFrame(image, frame_id, FrameTimes(buffer.get_timestamp(), arrival_ns, self._exposure_ns))
 
     def _id_of(self, buffer: Any) -> int:
         """Return the frame's id; without its leader packet it has none, and then it is the one after the last."""
@@ -143,28 +140,11 @@ class AravisStream:
         return frame_id
 
     def _is_as_agreed(self, buffer: Any) -> bool:
-        kinds = self._Aravis.BufferPayloadType
-        if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+        if buffer.get_payload_type() != self._Aravis.BufferPayloadType.IMAGE:
             return False
         padding = buffer.get_image_padding()
         came = buffer.get_image_pixel_format(), buffer.get_image_width(), buffer.get_image_height(), padding[0]
         return came == (self._format_code, self._setup.width, self._setup.height, 0)
-
-    def _times(self, buffer: Any) -> FrameTimes:
-        """Return the frame's times; stamp and exposure of the frame's own chunks where it carries them."""
-        camera_ns, exposure_ns = buffer.get_timestamp(), self._exposure_ns
-        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
-        if self._chunks is None:
-            return FrameTimes(camera_ns, arrival_ns, exposure_ns)
-        try:
-            if "Timestamp" in self._setup.chunks:
-                ticks = self._chunks.get_integer_value(buffer, "ChunkTimestamp")
-                camera_ns = ticks * SECOND // self._ticks_per_second
-            if self._exposure_chunk:
-                exposure_ns = round(self._chunks.get_float_value(buffer, self._exposure_chunk) * US_TO_NS)
-        except Exception:  # GLib.Error, whatever the parser met
-            self._counts["chunk_errors"] += 1
-        return FrameTimes(camera_ns, arrival_ns, exposure_ns)
 
     def _give_back(self, buffer: Any) -> None:
         buffer.set_frame_id(0)  # or a frame without leader would keep the id of the last one in this buffer
@@ -219,12 +199,6 @@ class AravisStream:
                 where=f"aravis.{key}",
                 remedy="Give a value that the camera keeps, or leave it out.",
             )
-
-    def _chunk_name(self, chunk: str) -> str:
-        """Return how this camera spells the feature that holds a chunk; "" when it sends no such chunk."""
-        if chunk not in self._setup.chunks:
-            return ""
-        return next((n for n in spellings(f"Chunk{chunk}") if self._device.get_feature(n) is not None), "")
 
 
 def first_of_run(arrived: int, last_of_former_run: int | None) -> int:

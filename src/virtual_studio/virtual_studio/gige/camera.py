@@ -9,7 +9,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from gige_vision.bootstrap import Capability
 
-from .acquisition import Acquisition, CameraClock, Timing, TriggerWire
+from .acquisition import Acquisition, CameraClock, TriggerWire
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
 from .gvcp_server import ControlPrivilege, GvcpServer
@@ -128,10 +128,8 @@ class _PoweredCamera:
         self.registers["FirstUrl"] = f"Local:{XML_NAME}.xml;{FILE_SPACE:X};{len(description):X}"
         self.registers["DeviceUserID"] = user_id
         self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
-        self._imaging = ImagingPipeline(device)
-        self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
         self._stream = StreamChannel(device)
-        self.acquisition = Acquisition(device, camera.scene, self._clock, self._imaging, self._timing, self._stream)
+        self.acquisition = Acquisition(device, camera.scene, self._clock, ImagingPipeline(device), self._stream)
         self.privilege = ControlPrivilege(device, self.acquisition.stop)
         try:
             self._server = GvcpServer(device, self.privilege, self._stream.resend, self.acquisition.execute_action)
@@ -157,8 +155,8 @@ class _PoweredCamera:
             "user_id": self.registers["DeviceUserID"],
             "controller": f"{owner[0]}:{owner[1]}" if owner else "",
             "streaming": self.acquisition.running and self._stream.is_open,
-            "frame_rate": round(float(1 / self._timing.period_s), 3),
-            "trigger": self._timing.source,
+            "frame_rate": round(float(1 / self.acquisition.period_s), 3),
+            "trigger": self.acquisition.source,
             "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
             "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         }

@@ -18,8 +18,6 @@ from gige_vision.gvcp import PORT
 from .loop import EventLoop
 from .registers import Registers
 
-SFNC, OLD = "sfnc", "old"
-
 
 @dataclass(frozen=True)
 class CameraSettings:
@@ -35,18 +33,10 @@ class CameraSettings:
     user_id: str = setting("", "User-defined name at first power-on, 15 bytes at most")
     vendor: str = "Sagoma"
     model: str = "Studio"
-    generation: str = setting(
-        SFNC,
-        "Names of the features: sfnc (today's), or old (ExposureTimeAbs, GainRaw, GevIEEE1588, ...)",
-        choices=(SFNC, OLD),
-    )
     frame_rate: float = setting(60.0, "Frame rate", unit="Hz", low=0.1, high=1000)
     exposure_us: float = setting(4000.0, "Exposure time", unit="us", low=10, high=1e6)
     nominal_exposure_us: float = 4000.0
     pixel_format: str = setting("auto", "Pixel format; auto: Mono8, or BayerRG8 where the scene has colour")
-    auto_functions: str = setting(
-        "Off", "ExposureAuto, GainAuto and BalanceWhiteAuto", choices=("Off", "Once", "Continuous")
-    )
     noise: float = setting(
         0.0, "Sensor noise added to every picture (standard deviation)", unit="grey levels", low=0, high=50
     )
