@@ -117,7 +117,7 @@ def live_source(
     }
     make = makers[settings.source] if settings.source in makers else plugin(settings)
     assert make is not None
-    return SupervisedSource(make, settings.supervision, accept, lambda source: stall_timeout_s(settings, source))
+    return SupervisedSource(make, accept, lambda source: stall_timeout_s(settings, source))
 
 
 def plugin(settings: CameraClientSettings) -> Callable[[], FrameSource]:
