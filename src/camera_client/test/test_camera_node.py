@@ -110,7 +110,7 @@ def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, sess
 
 
 def test_camera_keeps_the_exposures_that_the_hull_server_tells_it(bench, session, scene, monkeypatch):
-    monkeypatch.setattr("camera_client.sources.footage_pace.KEPT_UP_NS", 10**18)  # a busy machine loses none
+    monkeypatch.setattr("camera_client.sources.footage_source.KEPT_UP_NS", 10**18)  # a busy machine loses none
     camera = bench(**{**session.parameters, "footage.rate": 1.0})
     told = camera.peer.create_publisher(DiagnosticArray, "/hull/thinning", LATCHED)
     assert camera.node.trigger_configure() == SUCCESS

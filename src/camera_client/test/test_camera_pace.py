@@ -4,15 +4,7 @@ import itertools
 
 import pytest
 
-from camera_client.sources.footage_pace import (
-    LEAD_NS,
-    AcknowledgedPace,
-    FootageClock,
-    SharedClock,
-    WallClockPace,
-    choose_epoch_ns,
-)
-from capture_rig.errors import InputError
+from camera_client.sources.footage_source import AcknowledgedPace, FootageClock, SharedClock, WallClockPace
 from capture_rig.session import footage_stamp_ns
 
 EPOCH_NS = 1_800_000_000_000_000_000
@@ -112,14 +104,6 @@ def test_acknowledgements_of_an_earlier_playing_do_not_count():
     pace.acknowledge(EPOCH_NS + 10**15)
     pace.begin(CLOCK, 0)
     assert [pace.wait(k, 0.0) for k in range(3)] == [True, True, False]
-
-
-def test_epoch_is_a_second_from_now_or_as_given_even_from_the_past_and_not_far_ahead():
-    assert choose_epoch_ns(0, EPOCH_NS + 1) == EPOCH_NS + 1 + LEAD_NS
-    assert choose_epoch_ns(1_000_000_000, EPOCH_NS) == 1_000_000_000
-    assert choose_epoch_ns(EPOCH_NS + LEAD_NS, EPOCH_NS) == EPOCH_NS + LEAD_NS
-    with pytest.raises(InputError, match=r"epoch_ns = .* ahead of the system clock"):
-        choose_epoch_ns(EPOCH_NS * 1000, EPOCH_NS)
 
 
 @pytest.mark.parametrize("rate", [0.25, 0.5, 1.0, 2.0, 8.0])

@@ -8,7 +8,6 @@ device is constructed here from the two addresses of the link instead.
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 from collections.abc import Iterator
 from typing import Any
 
@@ -100,10 +99,9 @@ class AravisSource(FrameSource):
         self.warnings = (*features.warnings, *self._stream.warnings)
 
     def start(self) -> None:
-        if self._stream is None or self._features is None:
-            raise self._error("is not connected", "Call connect() first.")
         if self._streaming:
             return
+        assert self._stream is not None and self._features is not None
         with self._device_errors("when it was started"):
             reading = read_clock(self._features.access, self._clock.now_ns)
             self._time, self._last_stamp_ns = self._time_source(self._features, reading), 0
@@ -113,16 +111,14 @@ class AravisSource(FrameSource):
         self._start_triggers(reading)
 
     def read(self, timeout_s: float) -> Frame | None:
-        stream, time_source = self._stream, self._time
-        if not self._streaming or stream is None or time_source is None:
-            raise self._error("is not started", "Call start() first.")
-        grabbed = stream.grab(timeout_s)
-        self._update_counters(stream)
+        assert self._stream is not None and self._time is not None
+        grabbed = self._stream.grab(timeout_s)
+        self._update_counters(self._stream)
         if grabbed is None:
             return None
         times = grabbed.times._replace(arrival_ns=self._clock.at_utc(grabbed.times.arrival_ns))
-        stamp = time_source.stamp(times)
-        self.counters["stamp_jumps"] = time_source.jumps
+        stamp = self._time.stamp(times)
+        self.counters["stamp_jumps"] = self._time.jumps
         self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
         return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
 
@@ -173,9 +169,9 @@ class AravisSource(FrameSource):
         access = AravisFeatures(self._device, self._Aravis, self._GLib)
         if not self._device.is_controller():
             raise SourceUnavailable(
-                f"is controlled by another program{_controller(access)}",
+                "is controlled by another program",
                 where=self.description,
-                remedy="Stop that program, or wait until it lets go.",
+                remedy="Stop that program, or wait until it lets go (sagoma doctor tells where it runs).",
             )
         self._lost = False
         self._camera = self._Aravis.Camera.new_with_device(self._device)
@@ -278,13 +274,3 @@ class AravisSource(FrameSource):
 def _number_text(number: float | None) -> str:
     """Return a number as text; "" for None."""
     return "" if number is None else f"{number:g}"
-
-
-def _controller(registers: AravisFeatures) -> str:
-    """ " at 10.0.0.7:50123", the program that controls the camera, where the camera reports it; else ""."""
-    try:
-        address = registers.read_register(bootstrap.PRIMARY_ADDRESS)
-        port = registers.read_register(bootstrap.PRIMARY_PORT) & 0xFFFF
-    except (DeviceRefusal, DeviceSilence):
-        return ""
-    return f" at {ipaddress.IPv4Address(address)}:{port}" if address else ""

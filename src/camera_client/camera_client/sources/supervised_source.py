@@ -93,8 +93,6 @@ class SupervisedSource(FrameSource):
             self._resume(source)
 
     def read(self, timeout_s: float) -> Frame | None:
-        if not self._running:
-            raise InputError("is not started", where=self.description, remedy="Call start() first.")
         if self._source is not None:
             return self._read(self._source, timeout_s)
         pause_s = self._next_try_s - self._clock()

@@ -151,8 +151,6 @@ class TopicSource(FrameSource):
         return found
 
     def start(self) -> None:
-        if self._executor is None:
-            raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
         if not self._running:
             self._waiting.clear()
             self._numbers.restart()
