@@ -43,8 +43,8 @@ EPILOG = f"""talking to a running studio:
 {textwrap.fill(", ".join(PHASES), 78, initial_indent=" " * 6)}
   play [once] [at_ns=N]           begin at frame 0; prints when that is
   hold                            stay at frame 0
-  pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or
-                                  as a generator (0 stops it)
+  wire rate=HZ                    pulses on trigger input Line1 of all cameras;
+                                  0 stops them
 """
 
 

@@ -251,7 +251,7 @@ def _nanoseconds(seconds: Fraction) -> Fraction:
 class TriggerWire:
     """The cable to input Line1 of several cameras, which see each pulse at the same instant.
 
-    pulse() is one rising edge; run() is a pulse generator at a steady rate.
+    run() is a pulse generator at a steady rate.
     """
 
     def __init__(self, loop: EventLoop) -> None:
@@ -262,10 +262,6 @@ class TriggerWire:
     def listen(self, callback: Callable[[int], None]) -> None:
         """Calls back with the instant (studio's clock, ns) of each rising edge, from within the loop."""
         self._listeners.append(callback)
-
-    def pulse(self) -> int:
-        """Makes one rising edge now; returns its instant (studio's clock, ns)."""
-        return self._loop.call(lambda: self._rise(self._loop.clock.now_ns()))
 
     def run(self, rate_hz: float) -> None:
         """Generates pulses at whole multiples of the period of its clock, until another rate; 0: none."""
@@ -284,10 +280,6 @@ class TriggerWire:
 
     def _tick(self, when_ns: int, rate: Fraction) -> None:
         if self._loop.clock.now_ns() - when_ns < LONGEST_BACKLOG_NS:
-            self._rise(when_ns)
+            for listener in self._listeners:
+                listener(when_ns)
         self._schedule(rate)
-
-    def _rise(self, instant_ns: int) -> int:
-        for listener in self._listeners:
-            listener(instant_ns)
-        return instant_ns

@@ -43,7 +43,7 @@ class CameraScene(Protocol):
 class StudioScene:
     """What the cameras of a rig see: their ``views`` by name, the ``playback`` behind them (None: a test pattern).
 
-    can_be_empty : the empty room can be shown. notes : for people. counters : of what was rendered, where it is.
+    can_be_empty : the empty room can be shown. notes : for people.
     """
 
     rig: Rig
@@ -51,7 +51,6 @@ class StudioScene:
     playback: Playback | None = None
     can_be_empty: bool = False
     notes: tuple[str, ...] = ()
-    counters: Mapping[str, int] | None = None
 
     def start(self) -> None:
         """Begins to render, where that is done live."""

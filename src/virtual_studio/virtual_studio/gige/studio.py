@@ -159,7 +159,6 @@ class Studio:
             "room": self._room,
             "play": self._play,
             "hold": self._hold,
-            "pulse": lambda request: {"instant_ns": self.wire.pulse()},
             "wire": self._wire,
             "show": self._show,
         }
@@ -201,7 +200,7 @@ class Studio:
             state["playback"] = {key: getattr(self.playback, key) for key in keys}
         if self.setup is not None:
             state["shows"] = self.setup.phase
-        return state | ({"room": dict(self.scene.counters)} if self.scene.counters is not None else {})
+        return state
 
     def _set(self, request: Request) -> Request:
         changes = request.get("faults")
