@@ -351,21 +351,6 @@ def test_power_cut_in_the_middle_of_a_frame_leaves_it_incomplete_and_is_survived
     assert sum_rule_holds(values)
 
 
-@pytest.mark.slow
-def test_cable_out_for_a_moment_is_survived(pc):
-    reconnects, seen = pc.until_number("reconnects", -1), pc.listener.masks(pc.name)
-    pc.camera.faults.unplugged = True
-    pc.until_said(ERROR, "")
-    pc.camera.faults.unplugged = False
-    back_s = time.monotonic()
-    pc.listener.until(
-        lambda: pc.listener.masks(pc.name) > seen and pc.listener.received_s[pc.name] > back_s, "masks again"
-    )
-    measured("from cable back to the first mask", pc.listener.received_s[pc.name] - back_s)
-    pc.until_number("reconnects", reconnects)
-    assert sum_rule_holds(pc.listener.values(pc.node))
-
-
 def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(pc):
     other = pc.start_client("rival")
     pc.until_said(ERROR, "controlled by another program", node=f"/rival/{CAMERA_NODE}")

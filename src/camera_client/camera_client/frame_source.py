@@ -171,19 +171,18 @@ class FrameStatistics:
         """Begin a new run of ids, at ``first_id`` where the device says so (GVSP: 1), else wherever it begins."""
         self._last = None if first_id is None else first_id - 1
 
-    def add(self, frame_id: int, complete: bool = True) -> int:
-        """Take note of a frame that arrived, whole or not; returns how many ids were skipped just before it."""
+    def add(self, frame_id: int, complete: bool = True) -> None:
+        """Take note of a frame that arrived, whole or not."""
         step = self._step_to(frame_id)
         with self._lock:
             if step <= 0:
                 self.repeated += 1
-                return 0
+                return
             self._last = frame_id
             self.expected += step
             self.lost += step - 1
             self.delivered += complete
             self.incomplete += not complete
-        return step - 1
 
     @property
     def arrived(self) -> int:

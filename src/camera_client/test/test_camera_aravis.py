@@ -92,15 +92,6 @@ def test_settings_are_set_and_read_back(gige_camera):
         assert registers.label("ExposureAuto") == registers.label("GainAuto") == "Off"
 
 
-def test_features_are_set_in_the_order_given_before_the_named_settings(gige_camera):
-    camera = gige_camera()
-    features = ["Gain=3", "ExposureTime=700", "TriggerSoftware!", "Gain = 4.5", "DeviceUserID=north"]
-    with source_of(camera, features=features, exposure_us=800.0):
-        registers = registers_of(camera)
-        assert registers.real("Gain") == 4.5 and registers.real("ExposureTime") == 800
-        assert registers["DeviceUserID"] == "north"
-
-
 @pytest.mark.parametrize(
     "line, expected",
     [
@@ -203,7 +194,7 @@ def test_frames_arrive_in_order_with_rising_stamps_and_none_is_missing(gige_came
 
 
 def test_stop_pauses_and_start_counts_on(gige_camera):
-    with source_of(gige_camera(), frame_rate=100.0) as source:
+    with source_of(gige_camera(), frame_rate=20.0) as source:  # none is under way when it is stopped
         source.start()
         last = frames_of(source, 3)[-1]
         source.stop()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from camera_pictures import frames_of, taken
 
-from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
@@ -71,33 +70,6 @@ def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(
     assert {frame.clock for frame in frames} == {"host, at arrival"}
     assert errors_ns(frames).min() >= -1 * MS  # less half the exposure, it is never before mid-exposure
     assert all(frame.uncertainty_ns == 9 * MS for frame in frames)
-
-
-def test_auto_takes_ptp_where_the_camera_is_in_step_else_its_clock(gige_camera):
-    plain, in_step = gige_camera(), gige_camera(ptp_settle_s=0.0)
-    assert "camera" in taken(source_of(plain), 1)[0].clock
-    assert taken(source_of(in_step, features=["PtpEnable=1"]), 1)[0].clock == "PTP"
-
-
-def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gige_camera):
-    """A grandmaster that gives UTC, while TAI is expected."""
-    camera = gige_camera(tai_minus_utc_s=0, ptp_settle_s=0.0)
-    with pytest.raises(InputError, match=r"0\.000 s ahead of this host's UTC, not 37 s as aravis\.tai_utc_offset_s"):
-        source_of(camera, stamp_source="ptp").connect()
-    source = source_of(camera, stamp_source="auto", features=["PtpEnable=1"])
-    frames = taken(source)
-    assert any("PTP is not used for stamps" in warning for warning in source.warnings)
-    assert "camera" in frames[0].clock and np.median(np.abs(errors_ns(frames))) < 1 * MS
-    right = taken(source_of(camera, stamp_source="ptp", tai_utc_offset_s=0))
-    assert np.abs(errors_ns(right)).max() < 1000
-
-
-def test_camera_that_is_never_in_step_is_unavailable_when_ptp_is_demanded(gige_camera):
-    camera = gige_camera()
-    camera.faults.ptp_lost = True
-    source = source_of(camera, stamp_source="ptp", ptp_wait_s=0.2)
-    with pytest.raises(SourceUnavailable, match=r"not in step by PTP after 0\.2 s \(status Listening\)"):
-        source.connect()
 
 
 @pytest.mark.parametrize("stamp_source, jump_s", [("camera", -1), ("ptp", 3)])
@@ -219,11 +191,6 @@ def test_mode_that_counts_periods_needs_a_frame_rate(gige_camera, mode):
     source = AravisSource(AravisSettings(address=gige_camera().address, sync=mode))
     with pytest.raises(InputError, match=r"needs a frame rate.*aravis\.frame_rate"):
         source.connect()
-
-
-def test_line_that_the_camera_lacks_is_refused_with_those_it_has(gige_camera):
-    with pytest.raises(InputError, match=r"TriggerSource = Line9 .*Allowed: Software, Line1.*aravis\.trigger_line"):
-        source_of(gige_camera(), sync="line", trigger_line="Line9").connect()
 
 
 def test_free_run_switches_off_what_an_earlier_program_left_on(gige_camera):

@@ -123,20 +123,6 @@ def test_impossible_value_is_refused_before_it_is_sent(device, features, name, v
     assert device.log == []
 
 
-@pytest.mark.parametrize(
-    "name, value, allowed",
-    [
-        ("ExposureTime", 5.0, r"ExposureTimeAbs = 5.0 .*Allowed: 20 to 1e\+06"),
-        ("Width", 2000, "Allowed: 16 to 1280 in steps of 16"),
-        ("PixelFormat", "RGB8", "Allowed: Mono8, Mono12"),
-    ],
-)
-def test_value_that_the_device_refuses_is_named_with_those_that_it_takes(device, features, name, value, allowed):
-    device.locked |= set(device.features)
-    with pytest.raises(InputError, match=f"refuses .*{allowed}"):
-        features.set(name, value, "k")
-
-
 def test_feature_that_can_only_be_written_is_believed(device, features):
     def refuse(name):
         raise DeviceRefusal("write only")

@@ -260,19 +260,6 @@ def test_failed_configure_can_be_mended_by_setting_the_parameter(bench, session)
     camera.until(lambda: len(camera.masks) == FRAMES)
 
 
-def test_camera_that_is_off_does_not_fail_configure_and_is_shown_as_an_error(bench, session):
-    pytest.importorskip("gi", reason="PyGObject is not installed: apt install python3-gi gir1.2-aravis-0.8")
-    camera = bench(**{**session.parameters, "source": "aravis", "aravis.address": ABSENT}).start()
-    camera.until_said(f"no camera: aravis.address: no GigE Vision camera answers at {ABSENT}")
-    assert camera.diagnostics[-1].status[0].level == b"\2"
-    answer = camera.ask_to_learn()
-    assert not answer.success and "no frames are coming" in answer.message
-    values = camera.values()
-    assert float(values["downtime_s"]) > 0 and values["expected"] == "0" and int(values["failed_attempts"]) > 0
-    assert camera.node.trigger_deactivate() == SUCCESS
-    assert camera.node.trigger_cleanup() == SUCCESS
-
-
 def calibrated(camera):
     """Another calibration of the same camera: longer lens, some distortion."""
     K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])

@@ -2,8 +2,6 @@
 
 import struct
 import xml.etree.ElementTree as ElementTree
-from collections import Counter
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +12,8 @@ from gige_vision import bootstrap
 from gige_vision import gvcp as gvcp_payloads
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
-from virtual_studio.gige.device import Device, Faults
 from virtual_studio.gige.feature_table import feature_table
-from virtual_studio.gige.gvcp_server import ControlPrivilege
-from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers, genicam_xml
+from virtual_studio.gige.registers import FILE_SPACE, RegisterError, Registers, genicam_xml
 
 
 def table():
@@ -54,38 +50,6 @@ def test_heartbeat_that_stops_frees_the_camera_and_ends_its_stream(camera, clien
     eventually(lambda: camera.status()["controller"] == "")  # asks the camera's program, not the camera
     assert camera.counters["heartbeats_lost"] == 1
     assert client.read(bootstrap.STREAM_PORT) == 0
-
-
-class Timer:
-    """A callback that a test runs when it likes."""
-
-    def __init__(self, when_ns, run):
-        self.when_ns, self.run = when_ns, run
-
-    def cancel(self):
-        self.run = lambda: None
-
-
-def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
-    now, timers = SimpleNamespace(ns=0), []
-    clock = SimpleNamespace(monotonic_ns=lambda: now.ns)
-    monkeypatch.setattr("virtual_studio.gige.gvcp_server.time", clock)
-    loop = SimpleNamespace(call_later=lambda delay_ns, run: timers.append(Timer(now.ns + delay_ns, run)) or timers[-1])
-    registers, released, peer = Registers(table()), [], ("127.0.0.1", 5000)
-    device = Device("127.0.0.9", CameraSettings(), registers, Faults(), Counter(), loop)
-    privilege = ControlPrivilege(device, lambda: released.append(now.ns))
-    privilege.request(peer, 2)
-    for ms in (1000, 2500, 4000):
-        now.ns = ms * 1_000_000
-        privilege.heartbeat_from(peer)
-    privilege.heartbeat_from(("127.0.0.1", 6000))  # a stranger's command is none
-    for expected_ms in (3000, 7000):  # the timer looks, finds a fresh heartbeat, and looks again when that is old
-        timer = timers[-1]
-        assert timer.when_ns == expected_ms * 1_000_000 and not released
-        now.ns = max(now.ns, timer.when_ns)
-        timer.run()
-    assert released == [7000 * 1_000_000]
-    assert privilege.owner is None
 
 
 def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
@@ -197,9 +161,3 @@ def test_refused_write_of_several_registers_changes_none_of_them():
     assert memory.integer("GevSCPHostPort") == 0
     memory.write(bootstrap.STREAM_PORT, words[:12])
     assert [memory.integer(key) for key in ("GevSCPHostPort", "PacketSizeWord", "GevSCPD")] == [50_000, 9000, 7]
-
-
-@pytest.mark.parametrize("colour", [False, True])
-def test_colour_formats_are_offered_by_a_colour_camera_alone(colour):
-    formats = next(f for f in features_of(colour=colour) if f.name == "PixelFormat")
-    assert formats.kind is Kind.ENUMERATION and ("BayerRG8" in dict(formats.entries)) is colour

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from gige_client import eventually
 
 from gige_vision.gvcp import Status
 from gige_vision.gvsp import Content, image_leader, image_trailer, payload_capacity
@@ -99,14 +98,6 @@ def test_block_is_leader_payload_and_trailer_with_rising_packet_ids(packet_size)
     assert all(size + 28 == packet_size for _, _, size in packets[1:-2])  # IP and UDP headers are counted
 
 
-def test_block_arrives_alike_with_a_delay_between_packets():
-    with Wire(9000) as wire:
-        wire.registers["GevSCPD"] = 2_000_000
-        wire.send()
-        packets = eventually(lambda: wire.packets(wire.block_packets))
-    assert payload(packets) == DATA.tobytes()
-
-
 def test_packets_that_the_network_lost_never_arrive_and_the_others_are_intact():
     with Wire(1500, packet_loss=0.3) as wire, Wire(1500, packet_loss=0.3) as of_the_same_seed:
         wire.send()
@@ -130,15 +121,6 @@ def test_resent_packets_are_the_ones_asked_for_and_marked():
         packets = wire.packets(3)
     assert told(packets) == [(1, number, Status.PACKET_RESEND) for number in (3, 4, 5)]
     assert packets[0][1] == DATA[2 * 1464 : 3 * 1464].tobytes()
-
-
-def test_request_beyond_the_block_s_end_gives_what_there_is():
-    with Wire(9000) as wire:
-        wire.send()
-        wire.packets(wire.block_packets)
-        last = wire.block_packets - 1
-        wire.resend(1, last - 1, 0xFFFFFF)
-        assert [header.packet_id for header, _, _ in wire.packets()] == [last - 1, last]
 
 
 def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable():
