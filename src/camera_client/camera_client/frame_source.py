@@ -10,7 +10,7 @@ import math
 import statistics
 import threading
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
@@ -72,7 +72,7 @@ class FrameSource(ABC):
     description = "camera"
 
     def __init__(self) -> None:
-        self._counters: dict[str, int] = {}
+        self._counters = Counter[str]()
         self._statistics = FrameStatistics()
         self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
 
@@ -87,7 +87,7 @@ class FrameSource(ABC):
         return self._statistics
 
     def count(self, name: str, by: int = 1) -> None:
-        self.counters[name] = self.counters.get(name, 0) + by
+        self._counters[name] += by
 
     @abstractmethod
     def connect(self) -> None:

@@ -10,13 +10,14 @@ import sys
 import threading
 
 import pytest
+from discovery_records import discovery_answer
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.gige import discovery
 from camera_client.gige.discovery import discover_at, enlarge_receive_buffer, find_camera, interfaces, select_interfaces
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
-from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket, DeviceRecord
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
 from virtual_studio.gige import free_addresses
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
@@ -38,10 +39,6 @@ def answering(listener, *packets):
     return thread, heard
 
 
-def acknowledge(**record):
-    return AcknowledgePacket(0x0003, DeviceRecord(**record).encode(), 1).encode()
-
-
 @pytest.fixture
 def listener():
     [address] = free_addresses(1)
@@ -52,7 +49,7 @@ def listener():
 
 def test_camera_that_answers_is_found_and_our_own_address_with_it(listener):
     address = listener.getsockname()[0]
-    thread, heard = answering(listener, acknowledge(address=address, serial="S7", user_id="left"))
+    thread, heard = answering(listener, discovery_answer(address, serial="S7", user_id="left"))
     found = discover_at(address)
     thread.join(PATIENCE_S)
     assert (found.device.serial, found.device.user_id) == ("S7", "left")

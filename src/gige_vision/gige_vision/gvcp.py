@@ -209,44 +209,23 @@ class Action:
 _TEXTS = {
     "manufacturer": (bootstrap.MANUFACTURER_NAME, 32),
     "model": (bootstrap.MODEL_NAME, 32),
-    "device_version": (bootstrap.DEVICE_VERSION, 32),
-    "manufacturer_info": (bootstrap.MANUFACTURER_INFO, 48),
     "serial": (bootstrap.SERIAL_NUMBER, 16),
     "user_id": (bootstrap.USER_NAME, 16),
 }
-_ADDRESSES = {
-    "address": bootstrap.CURRENT_IP,
-    "subnet_mask": bootstrap.CURRENT_SUBNET,
-    "gateway": bootstrap.CURRENT_GATEWAY,
-}
+_ADDRESSES = {"address": bootstrap.CURRENT_IP, "subnet_mask": bootstrap.CURRENT_SUBNET}
 
 
 @dataclass(frozen=True)
 class DeviceRecord:
-    """Identity of a device. Texts are UTF-8, cut to the room the standard gives (serial and user id: 16 bytes)."""
+    """Identity of a device."""
 
     address: str
     manufacturer: str = ""
     model: str = ""
-    device_version: str = ""
-    manufacturer_info: str = ""
     serial: str = ""
     user_id: str = ""
     mac: bytes = bytes(6)
     subnet_mask: str = "255.0.0.0"
-    gateway: str = "0.0.0.0"
-
-    def encode(self) -> bytes:
-        """Return the 0xF8 bytes of the acknowledge."""
-        record = bytearray(bootstrap.DISCOVERY_SIZE)
-        struct.pack_into(">II", record, bootstrap.VERSION, bootstrap.VERSION_2_0, bootstrap.BIG_ENDIAN_UTF8)
-        record[bootstrap.MAC_HIGH + 2 : bootstrap.MAC_HIGH + 8] = self.mac
-        struct.pack_into(">II", record, bootstrap.IP_CAPABILITIES, 0x7, 0x1)  # persistent, DHCP, link-local; persistent
-        for name, offset in _ADDRESSES.items():
-            record[offset : offset + 4] = ipaddress.IPv4Address(getattr(self, name)).packed
-        for name, (offset, size) in _TEXTS.items():
-            record[offset : offset + size] = encode_text(getattr(self, name), size)
-        return bytes(record)
 
     @classmethod
     def decode(cls, record: bytes) -> DeviceRecord:

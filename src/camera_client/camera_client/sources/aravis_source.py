@@ -55,7 +55,7 @@ class AravisSource(FrameSource):
     so long, without holding the GIL, and are best called on a thread of their own then. A camera whose control was lost
     is not spoken to any more.
 
-    ``counters``: stamp_jumps, wrong_format, incomplete frames by cause, the stream's packets, triggers and actions.
+    ``counters``: stamp_jumps, wrong_format, the stream's packets, triggers and actions.
     """
 
     def __init__(self, settings: AravisSettings, channels: str = "auto", halve_mosaics: bool = False) -> None:
@@ -76,9 +76,8 @@ class AravisSource(FrameSource):
         self._lost = False
         self._last_stamp_ns = 0
         self._details: dict[str, str] = {}
-        # all names at once, so that the dictionary can be read on other threads
         own = {"software": TRIGGER_COUNTERS, "action": (*ACTION_COUNTERS, "triggers_missed")}.get(settings.sync, ())
-        self.counters.update(dict.fromkeys((*AravisStream.COUNTERS, "stamp_jumps", *own), 0))
+        self._counters |= dict.fromkeys((*AravisStream.COUNTERS, "stamp_jumps", *own), 0)
 
     # --- the source's contract -----------------------------------------------------------------------------------
 
@@ -113,14 +112,13 @@ class AravisSource(FrameSource):
     def read(self, timeout_s: float) -> Frame | None:
         assert self._stream is not None and self._time is not None
         grabbed = self._stream.grab(timeout_s)
-        self._update_counters(self._stream)
         if grabbed is None:
             return None
-        times = grabbed.times._replace(arrival_ns=self._clock.at_utc(grabbed.times.arrival_ns))
-        stamp = self._time.stamp(times)
-        self.counters["stamp_jumps"] = self._time.jumps
+        image, frame_id, times = grabbed
+        stamp = self._time.stamp(times._replace(arrival_ns=self._clock.at_utc(times.arrival_ns)))
+        self._counters["stamp_jumps"] = self._time.jumps
         self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
-        return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
+        return Frame(image, self._last_stamp_ns, frame_id, stamp.clock, stamp.uncertainty_ns)
 
     def stop(self) -> None:
         if not self._streaming:
@@ -135,8 +133,7 @@ class AravisSource(FrameSource):
                     self._camera.stop_acquisition()
             except DeviceSilence:  # the camera is dead; nothing else is sent to it then
                 self._lost = True
-        if self._stream is not None:
-            self._update_counters(self._stream, now=True)
+        self._counters |= self.counters  # what is known once the stream is closed
 
     def close(self) -> None:
         self.stop()
@@ -147,6 +144,12 @@ class AravisSource(FrameSource):
         if device is not None and not gone and device.is_controller():
             with contextlib.suppress(self._GLib.Error):
                 device.leave_control()
+
+    @property
+    def counters(self) -> dict[str, int]:
+        stream, schedule = self._stream, self._schedule
+        missed = {} if schedule is None else {"triggers_missed": schedule.missed}
+        return self._counters | ({} if stream is None else stream.counts()) | missed
 
     @property
     def details(self) -> dict[str, str]:
@@ -193,7 +196,7 @@ class AravisSource(FrameSource):
                     "takes no scheduled action commands, which sync action needs",
                     "Set aravis.sync to ptp, line or software.",
                 )
-            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self.counters)
+            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self._counters)
         return self._time_source(features, reading)
 
     def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
@@ -242,16 +245,9 @@ class AravisSource(FrameSource):
             return
         try:
             camera.software_trigger()
-            self.counters["triggers"] += 1
+            self._counters["triggers"] += 1
         except self._GLib.Error:
-            self.counters["triggers_refused"] += 1
-
-    def _update_counters(self, stream: AravisStream, now: bool = False) -> None:
-        stream.update_counters(self.counters, now)
-        if self._schedule is not None:
-            self.counters["triggers_missed"] = self._schedule.missed
-        if self._actions is not None:
-            self._actions.collect()
+            self._counters["triggers_refused"] += 1
 
     def _error(self, what: str, remedy: str) -> InputError:
         return InputError(what, where=self.description, remedy=remedy)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision.gvsp import PixelFormat
 
-from ..frame_source import REPORT_PERIOD_S, FrameStatistics, Image
+from ..frame_source import FrameStatistics, Image
 from ..gige.camera_setup import CameraSetup
 from ..gige.capture_time import SECOND, FrameTimes
 from ..gige.discovery import enlarge_receive_buffer
@@ -26,15 +25,6 @@ FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
 PACKET_TIMEOUT_US = 5000  # ... and again after this
 
 
-@dataclass(frozen=True, eq=False)
-class GrabbedFrame:
-    """A whole frame: image, id, and its times, of which the arrival of the first packet is in UTC."""
-
-    image: Image
-    frame_id: int
-    times: FrameTimes
-
-
 class AravisStream:
     """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
 
@@ -42,21 +32,8 @@ class AravisStream:
     Raises InputError when the camera does not keep the packet size or delay that was set.
     """
 
-    STATUSES = ("TIMEOUT", "MISSING_PACKETS", "WRONG_PACKET_ID", "SIZE_MISMATCH", "ABORTED")
-    INFOS: ClassVar = {
-        "n_resend_requests": "resend_requests",
-        "n_resent_packets": "resent_packets",
-        "n_missing_packets": "missing_packets",
-        "n_underruns": "underruns",
-        "n_error_packets": "error_packets",
-        "n_resend_ratio_reached": "resend_limit_reached",
-    }
-    COUNTERS = (
-        *(f"incomplete_{status.lower()}" for status in STATUSES),
-        "incomplete_other",
-        "wrong_format",
-        *INFOS.values(),
-    )
+    INFOS = ("resend_requests", "resent_packets", "missing_packets", "underruns", "error_packets")  # Aravis: "n_..."
+    COUNTERS = (*INFOS, "wrong_format")
 
     def __init__(
         self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, statistics: FrameStatistics
@@ -73,10 +50,7 @@ class AravisStream:
         camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
         self._stream = camera.create_stream(None, None)
         self.warnings = self._set_up()
-        self._counts = dict.fromkeys(self.COUNTERS, 0)
-        known = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}  # depends on the version
-        self._infos = {info: name for info, name in self.INFOS.items() if info in known}
-        self._next_update_s = 0.0
+        self._wrong_format = 0
         self._run_begun, self._has_run = False, False
         self._last_id: int | None = None
 
@@ -89,8 +63,11 @@ class AravisStream:
             self._stream.start_thread()
         self._has_run, self._run_begun = True, False
 
-    def grab(self, timeout_s: float) -> GrabbedFrame | None:
-        """Return the next frame; None when it was not whole, or none came in time. Waits without the GIL."""
+    def grab(self, timeout_s: float) -> tuple[Image, int, FrameTimes] | None:
+        """Return image, id and times of the next frame; None when it was not whole, or none came in time.
+
+        Of the times the arrival of the first packet is in UTC. Waits without the GIL.
+        """
         buffer = self._stream.timeout_pop_buffer(int(timeout_s * 1e6))
         if buffer is None:
             return None
@@ -99,36 +76,25 @@ class AravisStream:
         finally:
             self._give_back(buffer)
 
-    def update_counters(self, counters: dict[str, int], now: bool = False) -> None:
-        """Write all counts into ``counters``; once in REPORT_PERIOD_S at most, unless ``now``."""
-        now_s = time.monotonic()
-        if not now and now_s < self._next_update_s:
-            return
-        self._next_update_s = now_s + REPORT_PERIOD_S
-        for info, name in self._infos.items():
-            self._counts[name] = self._stream.get_info_uint64_by_name(info)
-        counters.update(self._counts)
+    def counts(self) -> dict[str, int]:
+        """Return :data:`COUNTERS` of this instant."""
+        counted = {name: self._stream.get_info_uint64_by_name(f"n_{name}") for name in self.INFOS}
+        return {**counted, "wrong_format": self._wrong_format}
 
     # --- one frame -----------------------------------------------------------------------------------------------
 
-    def _take(self, buffer: Any) -> GrabbedFrame | None:
+    def _take(self, buffer: Any) -> tuple[Image, int, FrameTimes] | None:
         frame_id = self._id_of(buffer)
-        status = buffer.get_status()
-        image = None
-        if status != self._Aravis.BufferStatus.SUCCESS:
-            key = f"incomplete_{status.value_nick}".replace("-", "_")
-            self._counts[key if key in self._counts else "incomplete_other"] += 1
-        elif not self._is_as_agreed(buffer):
-            self._counts["wrong_format"] += 1
-        else:
-            setup = self._setup
-            size = setup.width, setup.height
-            image = to_image(buffer.memory[: self._image_bytes], setup.pixel_format, *size, setup.halved)
-        self._statistics.add(frame_id, complete=image is not None)
-        if image is None:
+        whole = buffer.get_status() == self._Aravis.BufferStatus.SUCCESS
+        agreed = whole and self._is_as_agreed(buffer)
+        self._wrong_format += whole and not agreed
+        self._statistics.add(frame_id, complete=agreed)
+        if not agreed:
             return None
+        setup, raw = self._setup, buffer.memory[: self._image_bytes]
+        image = to_image(raw, setup.pixel_format, setup.width, setup.height, setup.halved)
         arrival_ns = buffer.get_system_timestamp() or time.time_ns()
-        return GrabbedFrame(image, frame_id, FrameTimes(buffer.get_timestamp(), arrival_ns, self._exposure_ns))
+        return image, frame_id, FrameTimes(buffer.get_timestamp(), arrival_ns, self._exposure_ns)
 
     def _id_of(self, buffer: Any) -> int:
         """Return the frame's id; without its leader packet it has none, and then it is the one after the last."""
