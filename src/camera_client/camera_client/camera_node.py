@@ -173,8 +173,8 @@ class CameraNode(SagomaNode):
             self.source = None
 
     def _topic_source(self) -> FrameSource:
-        settings, client, namespace = self.settings, self.get_name(), self.get_namespace()
-        return TopicSource(settings.topic, settings.channels, client, namespace, self.context, self._use_lens)
+        topic, channels, namespace = self.settings.topic, self.settings.channels, self.get_namespace()
+        return TopicSource(topic, channels, namespace, self.context, self._use_lens)
 
     def _use_lens(self, info: CameraInfo) -> None:
         """Use the lens of a driver's camera_info instead of the rig's. Raises InputError."""
