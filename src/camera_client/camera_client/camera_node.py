@@ -137,7 +137,6 @@ class CameraNode(SagomaNode):
             lost, failed = partial(self.health.count, "frames_unpublished"), self._on_error
             self._outbox = Worker("publish", self._publish, PUBLISH_DEPTH, on_drop=lost, on_error=failed)
             self._hand_over = self._outbox.put
-        if live and self.settings.threads > 1:
             self._segmenter = Worker("segment", self._finish, 1, on_drop=lost, on_error=failed)
             self._finish_later = self._segmenter.put_blocking
         self.loop = GrabLoop(

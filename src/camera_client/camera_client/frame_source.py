@@ -10,7 +10,7 @@ import math
 import statistics
 import threading
 from abc import ABC, abstractmethod
-from collections import Counter, deque
+from collections import defaultdict, deque
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
@@ -72,7 +72,7 @@ class FrameSource(ABC):
     description = "camera"
 
     def __init__(self) -> None:
-        self._counters = Counter[str]()
+        self._counters: dict[str, int] = defaultdict(int)
         self._statistics = FrameStatistics()
         self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
 

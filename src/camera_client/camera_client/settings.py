@@ -68,7 +68,6 @@ class AravisSettings:
     trigger_activation: str = setting(
         "RisingEdge", "sync line: the edge", choices=("RisingEdge", "FallingEdge", "AnyEdge")
     )
-    trigger_delay_us: float = setting(-1.0, "From trigger to exposure", unit="us", low=-1, high=1e7)
     action_device_key: int = setting(
         1, "sync action: key of the cameras, another one for each rig of a network", low=0, high=0xFFFFFFFF
     )
@@ -258,9 +257,6 @@ class CameraClientSettings:
     background_frames: int = setting(100, "Frames taken by ~/learn_background", low=2, high=100000)
     background_file: str = setting("", "Where ~/learn_background saves the model (.npz); empty: nowhere")
     background_age_h: float = setting(12.0, "A background is old after this; 0: never", unit="h", low=0, high=1e5)
-    threads: int = setting(
-        2, "2: work on a live camera's next frame begins while the silhouette of the last is made", low=1, high=2
-    )
     publish_raw: bool = setting(False, "Publish image_raw (without a rig it is there in any case, for calibration)")
     publish_preview: bool = setting(
         True, "Offer preview/compressed: the image with the silhouette's outline, sent while somebody subscribes"

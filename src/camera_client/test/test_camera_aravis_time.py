@@ -158,7 +158,7 @@ def test_action_commands_expose_all_cameras_at_the_scheduled_instant(three_camer
 def test_line_exposes_all_cameras_at_the_edge(three_cameras):
     cameras, wire = three_cameras
     wire.run(RATE)
-    _, instants_ns = run_in("line", cameras, trigger_line="Line1", trigger_delay_us=300.0)
+    _, instants_ns = run_in("line", cameras, trigger_line="Line1", features=["TriggerDelay=300"])
     assert np.ptp(instants_ns, axis=0).max() == 0
     assert ((instants_ns - MS // 2 - 300_000) % PERIOD_NS == 0).all()  # the wire's generator counts in UTC
 

@@ -131,10 +131,3 @@ def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable():
         packets = wire.packets(2)
     assert told(packets) == [(1, number, Status.PACKET_UNAVAILABLE) for number in (2, 3)]
     assert wire.counters["resend_missed"] == 1
-
-
-def test_nothing_is_sent_while_nobody_listens():
-    with Wire() as wire:
-        wire.registers["GevSCPHostPort"] = 0
-        wire.send()
-        assert wire.packets() == []

@@ -103,8 +103,6 @@ def _trigger_by(features: Features, settings: AravisSettings, source: str) -> No
     if (selector := features.find("TriggerSelector")) is not None:
         features.set(selector, FRAME_TRIGGER, "aravis.sync")
     features.set("TriggerSource", source, "aravis.trigger_line" if settings.sync == "line" else "aravis.sync")
-    if settings.trigger_delay_us >= 0:
-        features.set("TriggerDelay", settings.trigger_delay_us, "aravis.trigger_delay_us")
     features.set("TriggerMode", "On", "aravis.sync")
 
 
