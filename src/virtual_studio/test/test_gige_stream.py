@@ -15,7 +15,7 @@ from virtual_studio.gige.camera import feature_table
 from virtual_studio.gige.device import CameraSettings, Device, Faults
 from virtual_studio.gige.loop import EventLoop
 from virtual_studio.gige.registers import Registers
-from virtual_studio.gige.stream import StreamChannel
+from virtual_studio.gige.stream import RESEND_FRAMES, StreamChannel
 
 DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
 LEADER, TRAILER = image_leader(5, 0x01080001, (100_003, 1), (0, 0)), image_trailer(1)
@@ -36,7 +36,7 @@ class Wire:
         self.receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
         self.receiver.bind(("127.0.0.1", 0))
         self.receiver.settimeout(0.3)
-        settings = CameraSettings(max_packet_size=65500, resend_frames=3)
+        settings = CameraSettings(max_packet_size=65500)
         self.registers = Registers(feature_table(settings, "127.0.0.1", 640, 480, colour=False))
         self.loop, self.faults, self.counters = EventLoop(), Faults(**faults), Counter()
         device = Device("127.0.0.1", settings, self.registers, self.faults, self.counters, self.loop)
@@ -125,8 +125,8 @@ def test_resent_packets_are_the_ones_asked_for_and_marked():
 
 def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable():
     with Wire(9000) as wire:
-        wire.send(1, 2, 3, 4)
-        wire.packets(4 * wire.block_packets)
+        wire.send(*range(1, 2 + RESEND_FRAMES))
+        wire.packets((1 + RESEND_FRAMES) * wire.block_packets)
         wire.resend(1, 2, 3)
         packets = wire.packets(2)
     assert told(packets) == [(1, number, Status.PACKET_UNAVAILABLE) for number in (2, 3)]

@@ -97,15 +97,12 @@ def test_free_running_camera_at_the_stage_s_rate_sees_every_frame_once(rate):
     assert seen == list(range(500))
 
 
-def test_stage_is_held_at_its_first_frame_and_left_at_one_instant_for_all():
+def test_stage_is_held_at_its_first_frame():
     playback = Playback(10, 60.0)
     playback.hold()
     assert {playback.frame_at(NOW_NS + k * 50_000_000) for k in range(20)} == {0}
     playback.play(NOW_NS)
     assert playback.frame_at(NOW_NS + 100_000_000) == 6
-    before = time.time_ns()
-    playback.occupy(False)
-    assert playback.occupied_at(before) and not playback.occupied_at(time.time_ns() + SECOND_NS)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from gige_vision.gvcp import Action, Status
 from gige_vision.gvsp import PixelFormat, image_leader, image_trailer, next_block_id
 
 from .device import CameraSettings, Device, Faults
-from .feature_table import PTP_STATES, TICKS_PER_SECOND
+from .feature_table import PTP_STATES
 from .imaging import ImagingPipeline, pixel_bytes
 from .loop import EventLoop, Timer
 from .registers import RegisterError, Value
@@ -25,6 +25,7 @@ from .scenes import CameraScene
 from .stream import StreamChannel
 
 SECOND_NS = 1_000_000_000
+TAI_MINUS_UTC_NS = 37 * SECOND_NS  # PTP counts TAI
 MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
 LONGEST_BACKLOG_NS = 250_000_000  # frames, and pulses of the generator, that are late by more are left out
@@ -61,7 +62,7 @@ class CameraClock:
     def stamp(self, utc_ns: int) -> int:
         """Returns the clock's reading at an instant."""
         if self.is_synchronised:
-            reading = utc_ns + self._tai_ns + self._residual_ns
+            reading = utc_ns + TAI_MINUS_UTC_NS + self._residual_ns
         else:
             elapsed = utc_ns - self._zero_ns
             reading = elapsed + round(elapsed * self._settings.drift_ppm * 1e-6)
@@ -71,7 +72,7 @@ class CameraClock:
         """Returns the instant at which the clock reads ``stamp_ns``."""
         reading = stamp_ns - self._faults.stamp_jump_ns
         if self.is_synchronised:
-            return reading - self._tai_ns - self._residual_ns
+            return reading - TAI_MINUS_UTC_NS - self._residual_ns
         return self._zero_ns + round(reading / (1 + self._settings.drift_ppm * 1e-6))
 
     @property
@@ -85,10 +86,6 @@ class CameraClock:
             return PTP_STATES["Disabled"]
         settled = (time.monotonic_ns() - self._ptp_since_ns) * 1e-9 >= self._settings.ptp_settle_s
         return PTP_STATES["Slave" if settled and not self._faults.ptp_lost else "Listening"]
-
-    @property
-    def _tai_ns(self) -> int:
-        return self._settings.tai_minus_utc_s * TICKS_PER_SECOND
 
 
 class Acquisition:

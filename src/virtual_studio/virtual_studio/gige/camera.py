@@ -46,7 +46,7 @@ class SimulatedCamera:
         self._user_id = self.settings.user_id
         height, width, *channels = scene.shape
         self.features = feature_table(self.settings, address, width, height, bool(channels))
-        self._description = genicam_xml(self.features, self.settings.vendor, self.settings.model)
+        self._description = genicam_xml(self.features)
         self._powered: _PoweredCamera | None = None
         self._running = False
 

@@ -23,16 +23,13 @@ from .registers import Registers
 class CameraSettings:
     """A simulated GigE Vision camera. What a client sets by feature is only the value after power-on here.
 
-    vendor, model : their names. nominal_exposure_us : at this exposure and 0 dB the picture is as bright as the scene
-    gives it. max_packet_size : bytes of the largest stream packet, IP header included. resend_frames : kept for resend
-    requests. ptp_offset_ns : typical offset from the master once in step. tai_minus_utc_s : leap seconds, for PTP
-    counts TAI. seed : of noise, clock offset and packet loss.
+    nominal_exposure_us : at this exposure and 0 dB the picture is as bright as the scene gives it. max_packet_size :
+    bytes of the largest stream packet, IP header included. ptp_offset_ns : typical offset from the master once in step.
+    seed : of noise, clock offset and packet loss.
     """
 
     serial: str = setting("SIM00001", "Serial number, 15 bytes at most")
     user_id: str = setting("", "User-defined name at first power-on, 15 bytes at most")
-    vendor: str = "Sagoma"
-    model: str = "Studio"
     frame_rate: float = setting(60.0, "Frame rate", unit="Hz", low=0.1, high=1000)
     exposure_us: float = setting(4000.0, "Exposure time", unit="us", low=10, high=1e6)
     nominal_exposure_us: float = 4000.0
@@ -41,13 +38,11 @@ class CameraSettings:
         0.0, "Sensor noise added to every picture (standard deviation)", unit="grey levels", low=0, high=50
     )
     max_packet_size: int = 16000
-    resend_frames: int = 8
     drift_ppm: float = setting(
         12.0, "How much faster the free-running clock is than UTC", unit="ppm", low=-1000, high=1000
     )
     ptp_settle_s: float = setting(0.4, "Time from PtpEnable to status Slave", unit="s", low=0, high=600)
     ptp_offset_ns: int = 80
-    tai_minus_utc_s: int = 37
     seed: int = 1
 
 

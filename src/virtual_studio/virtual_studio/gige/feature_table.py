@@ -11,7 +11,7 @@ from gige_vision.bootstrap import Capability
 from gige_vision.gvsp import PixelFormat
 
 from .device import CameraSettings
-from .registers import Feature, boolean, choice, command, hidden, integer, placed, real, text
+from .registers import MODEL, VENDOR, Feature, boolean, choice, command, hidden, integer, placed, real, text
 
 MONO_FORMATS, COLOUR_FORMATS = ("Mono8", "Mono12"), ("BayerRG8", "RGB8")
 TICKS_PER_SECOND = 1_000_000_000
@@ -85,8 +85,8 @@ def feature_table(settings: CameraSettings, address: str, width: int, height: in
             hidden("PacketSizeWord", bootstrap.STREAM_PACKET_SIZE, min(1500, s.max_packet_size), writable=True),
         ],
         "DeviceControl": [
-            text("DeviceVendorName", s.vendor, 32, bootstrap.MANUFACTURER_NAME, writable=False),
-            text("DeviceModelName", s.model, 32, bootstrap.MODEL_NAME, writable=False),
+            text("DeviceVendorName", VENDOR, 32, bootstrap.MANUFACTURER_NAME, writable=False),
+            text("DeviceModelName", MODEL, 32, bootstrap.MODEL_NAME, writable=False),
             text("DeviceVersion", "1.0", 32, bootstrap.DEVICE_VERSION, writable=False),
             text("DeviceSerialNumber", s.serial, 16, bootstrap.SERIAL_NUMBER, writable=False),
             text("DeviceUserID", s.user_id, 16, bootstrap.USER_NAME),

@@ -158,22 +158,18 @@ class Registers:
         return bytes(data[:count])
 
     def write(self, address: int, data: bytes) -> None:
-        """Handles a client's write of one register or several. Raises RegisterError, before anything changes."""
+        """Handles a client's write of one register or several in a row. Raises RegisterError at the first refused."""
         if address % 4 or len(data) % 4 or not data:
             raise RegisterError(Status.BAD_ALIGNMENT)
-        changes: list[tuple[Feature, Value]] = []
         at = address
         while at < address + len(data):
             feature = self._at.get(at)
             if feature is None:
                 raise RegisterError(Status.INVALID_ADDRESS)
-            changes.append((feature, self._new_value(feature, at, data[at - address :])))
-            at = feature.address + feature.length
-        for feature, value in changes:
-            self._values[feature.name] = value
-        for feature, _ in changes:
+            self._values[feature.name] = self._new_value(feature, at, data[at - address :])
             if feature.name in self.writes:
                 self.writes[feature.name]()
+            at = feature.address + feature.length
 
     def _new_value(self, feature: Feature, at: int, data: bytes) -> Value:
         if not feature.writable:
@@ -224,10 +220,10 @@ def _decode(feature: Feature, data: bytes) -> Value:
 
 # --- the GenICam description of the same table
 
-XML_NAME = "sagoma_studio_camera"
+VENDOR, MODEL, XML_NAME = "Sagoma", "Studio", "sagoma_studio_camera"
 _HEAD = (
     '<?xml version="1.0" encoding="utf-8"?>\n'
-    '<RegisterDescription ModelName="{model}" VendorName="{vendor}" StandardNameSpace="GEV" SchemaMajorVersion="1" '
+    f'<RegisterDescription ModelName="{MODEL}" VendorName="{VENDOR}" StandardNameSpace="GEV" SchemaMajorVersion="1" '
     'SchemaMinorVersion="1" SchemaSubMinorVersion="0" MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
     'ProductGuid="5f1b1c2e-6d1b-4a5e-9c57-000000000001" VersionGuid="5f1b1c2e-6d1b-4a5e-9c57-000000000002" '
     'xmlns="http://www.genicam.org/GenApi/Version_1_1" '
@@ -238,10 +234,10 @@ _HEAD = (
 PORT = "Device"
 
 
-def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> bytes:
+def genicam_xml(features: Iterable[Feature]) -> bytes:
     """Writes the XML, whole words: categories, a node for every named feature, a register node beneath each."""
     named = [feature for feature in features if feature.category]
-    parts = [_HEAD.format(vendor=escape(vendor), model=escape(model)), *_categories(named)]
+    parts = [_HEAD, *_categories(named)]
     for feature in named:
         parts.append(_node(feature))
         if feature.kind is not Kind.STRING:

@@ -26,7 +26,7 @@ from ..recording.session import SESSION_FPS
 from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow
-from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback, StudioScene
+from .scenes import SECOND_NS, Playback, StudioScene
 
 RENDER_HZ = 20  # live renderings at most
 EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "floor", "moving", "person")
@@ -132,7 +132,7 @@ class LiveView:
         return self._scene.empty(self._name).shape
 
     def image(self, instant_ns: int) -> Image:
-        if not self._scene.playback.occupied_at(instant_ns):
+        if not self._scene.playback.occupied:
             return self._scene.empty(self._name)
         return self._scene.seen_at(instant_ns).pictures[self._name]
 
@@ -158,8 +158,7 @@ class SetupScene(RoomScene):
         self._hand, self._floor = print_of(hand_board), print_of(floor_board)
         self._waves = {c.name: wave(c, self._hand, seed + number) for number, c in enumerate(rig.cameras)}
         self._carried, self._lying = carry(self._floor, CARRIED_S, seed), on_floor(self._floor)
-        self._phase = self._before = PERSON
-        self._since_ns = 0
+        self._phase, self._since_ns = PERSON, 0
         self.show(EMPTY)
 
     @property
@@ -174,13 +173,12 @@ class SetupScene(RoomScene):
             remedy = f"It shows {', '.join(PHASES)}, or the next one: {NEXT}."
             raise InputError(f"there is no phase '{phase}'", where="studio", remedy=remedy)
         if phase != EMPTY:
-            self._before, self._phase = self._phase, phase
-            self._since_ns = self.playback.clock.now_ns() + SWITCH_AFTER_NS
-        self.playback.occupy(phase != EMPTY)
+            self._phase, self._since_ns = phase, self.playback.clock.now_ns()
+        self.playback.occupied = phase != EMPTY
         return phase
 
     def render(self, instant_ns: int) -> Mapping[str, Image]:
-        phase = self._phase if instant_ns >= self._since_ns else self._before
+        phase = self._phase
         t = max(instant_ns - self._since_ns, 0) / SECOND_NS
         if phase == INTRINSICS:
             return {name: self._render_waved(name, t) for name in self._waves}

@@ -227,7 +227,7 @@ class Studio:
         if state == "empty" and not self.scene.can_be_empty:
             remedy = "Use a session with a background for every camera."
             raise _refusal("the session has no pictures of the empty room", remedy)
-        self._required_playback().occupy(state == "occupied")
+        self._required_playback().occupied = state == "occupied"
         return {"room": state}
 
     def _play(self, request: Request) -> Request:
@@ -235,8 +235,7 @@ class Studio:
         if self.setup is not None:
             self.setup.show(PERSON)
         epoch_ns = playback.play(request.get("at_ns"), bool(request.get("loop", True)))
-        if not playback.occupied:
-            playback.occupy(True)
+        playback.occupied = True
         return {"epoch_ns": epoch_ns, "frames": playback.frames, "fps": playback.fps}
 
     def _hold(self, request: Request) -> Request:
