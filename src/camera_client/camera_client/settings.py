@@ -39,7 +39,7 @@ class AravisSettings:
     address: str = setting("", "IPv4 address of the camera; nothing is broadcast when it is given")
     serial: str = setting("", "Serial number: verified, or searched for on `interface` when no address is given")
     user_id: str = setting("", "User-defined name of the camera: verified, or searched for, like the serial number")
-    interface: str = setting("", "Where to search by broadcast: names or own addresses of interfaces, with commas")
+    interface: str = setting("", "Where to search by broadcast: name or own address of an interface")
 
     pixel_format: str = setting(
         "auto",
