@@ -11,8 +11,8 @@ from footage_clips import scene as square_scene
 
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import FootageSettings
-from camera_client.sources.footage_reader import FootageReader, open_footage
-from camera_client.sources.footage_source import LEAD_NS, READ_AHEAD, FootageSource, Pace, SharedClock, WallClockPace
+from camera_client.sources.footage_reader import open_footage
+from camera_client.sources.footage_source import LEAD_NS, FootageSource, Pace, SharedClock, WallClockPace
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 
@@ -109,22 +109,6 @@ def test_start_after_the_end_counts_on_or_takes_a_new_epoch(video, images, scene
     assert again[0].stamp_ns == footage_stamp_ns(begin_ns + later_ns, ids[0], scene.fps)
 
 
-def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
-    path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
-    with source_of(path) as source:
-        decoded, original = [], FootageReader.read
-
-        def counted(reader, loop):
-            decoded.append(1)
-            return original(reader, loop)
-
-        monkeypatch.setattr(FootageReader, "read", counted)
-        source.start()
-        for delivered in range(1, 21):
-            frames_of(source, 1)
-            assert len(decoded) <= delivered + READ_AHEAD + 1  # the stored ones, and the one in the decoder's hands
-
-
 @pytest.mark.parametrize("channels, shape", [("mono", (120, 160)), ("colour", (120, 160, 3))])
 def test_channels_of_the_settings_win(video, channels, shape):
     with source_of(video, channels=channels) as source:
@@ -184,13 +168,6 @@ def test_close_ends_the_thread_of_a_decoder_that_waits(video):
 def test_epoch_far_ahead_is_refused(video):
     with pytest.raises(InputError, match=r"epoch_ns = .* ahead of the system clock"):
         source_of(video, epoch_ns=EPOCH_NS * 1000).connect()
-
-
-def test_single_still_is_read_as_footage_of_one_frame(tmp_path, images):
-    cv2.imwrite(str(tmp_path / "one.png"), images[0])
-    reader = open_footage(tmp_path / "one.png")
-    assert reader.probe() == (120, 160, 3)
-    assert np.array_equal(reader.read(), images[0]) and reader.read() is None
 
 
 @pytest.mark.parametrize("first_black", [False, True])

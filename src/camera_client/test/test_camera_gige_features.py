@@ -5,7 +5,7 @@ import math
 import pytest
 
 from camera_client.frame_source import SourceUnavailable
-from camera_client.gige.features import ALIASES, DeviceRefusal, Features, Kind, spellings
+from camera_client.gige.features import DeviceRefusal, Features, Kind
 from camera_client.gige.triggers import TIMER_LEAD_NS, await_ptp, ptp_status, synchronise
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
@@ -162,13 +162,6 @@ def test_switch_finds_the_camera_s_word_for_on(kind, choices, written):
     device = Device(PtpEnable=feature(kind, None, choices=choices))
     Features(device, "X").switch("PtpEnable", True, "k")
     assert device.log == [("PtpEnable", written)]
-
-
-def test_every_alias_belongs_to_one_family():
-    names = [name for family in ALIASES for name in family]
-    assert len(names) == len(set(names))
-    assert spellings("GevIEEE1588") == ("GevIEEE1588", "PtpEnable")
-    assert spellings("Unheard") == ("Unheard",)
 
 
 def test_camera_with_a_free_run_timer_begins_at_a_multiple_of_the_period_of_the_ptp_clock():

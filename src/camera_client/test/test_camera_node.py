@@ -162,16 +162,6 @@ def test_background_is_learned_live_saved_used_and_taken_again_at_the_next_start
     assert camera.node.processor.background.provenance.frames == 20
 
 
-def test_learning_is_answered_when_the_footage_ends_first(bench, session):
-    camera = bench(1, **{**session.parameters, "background_frames": 1000})
-    camera.acknowledging = False
-    camera.start()
-    camera.until(lambda: camera.masks)
-    camera.acknowledging = True
-    answer = camera.ask_to_learn(meanwhile=lambda: camera.acknowledge(camera.stamps_ns()[-1]))
-    assert not answer.success and "end of footage" in answer.message
-
-
 def test_learning_is_answered_without_frames_and_when_the_camera_is_suspended_and_cleaned_up(bench, session):
     camera = bench(**{**session.parameters, "background_frames": 1000, "footage.rate": 1.0, "footage.loop": True})
     assert camera.node.trigger_configure() == SUCCESS

@@ -71,12 +71,6 @@ def test_request_for_packets_again_names_block_and_range():
     assert gvcp.decode_resend(hexed("0000 0102 00000003 FF000005")) == (0x0102, 3, 5)
 
 
-def test_denied_access_is_an_acknowledge_with_status_8006():
-    assert Command.READ_REGISTER.acknowledge == 0x81
-    answer = AcknowledgePacket.decode(hexed("8006 0083 0004 0001 00000000"))
-    assert answer.status == Status.ACCESS_DENIED
-
-
 def test_discovery_record_has_every_field_at_its_standard_place():
     places = {
         0x0A: hexed("020000000b01"),

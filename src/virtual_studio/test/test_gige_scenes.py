@@ -40,11 +40,6 @@ def test_pattern_tells_its_number_and_instant_even_when_dimmed(colour):
         assert PatternScene.read((picture * 0.6).astype(np.uint8)) == (expected, NOW_NS + expected)
 
 
-def test_pattern_too_small_for_its_numbers_is_refused():
-    with pytest.raises(InputError, match=r"64 x 48.*at least 128 x 12"):
-        PatternScene(64, 48)
-
-
 @pytest.fixture
 def session(tmp_path):
     """Two cameras whose frames tell their number by their grey level; cam02 is in colour."""

@@ -162,13 +162,6 @@ def test_control_socket_is_its_owner_s_alone_and_goes_with_the_studio(tmp_path):
         ask({"do": "status"}, path)
 
 
-def test_taken_address_starts_no_camera_at_all(studio):
-    taken = studio.cameras["cam03"].address
-    first = f"{taken.rsplit('.', 1)[0]}.{int(taken.rsplit('.', 1)[1]) - 2}"
-    with pytest.raises(InputError, match="another camera is there"):
-        Studio(StudioSettings(cameras=3, pattern=True, address=first)).start()
-
-
 def test_written_files_describe_the_studio(studio, tmp_path):
     folder = write_rig_files(studio, tmp_path / "rig")
     assert load_rig(folder / "rig.yaml").names == ("cam01", "cam02", "cam03")

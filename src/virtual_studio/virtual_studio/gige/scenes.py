@@ -68,9 +68,6 @@ class PatternScene:
     ROWS = 3  # 32 bits of number, 64 of time
 
     def __init__(self, width: int = 640, height: int = 480, colour: bool = False) -> None:
-        least = self.PER_ROW * self.SQUARE_PX
-        if width < least or height < self.ROWS * self.SQUARE_PX:
-            raise InputError(f"a pattern of {width} x {height} pixels", remedy=f"Give at least {least} x 12.")
         self._width, self._height, self._colour = width, height, colour
         y, x = np.mgrid[: height + 256, :width]
         self._stripes = ((x + y) % 256).astype(np.uint8)
