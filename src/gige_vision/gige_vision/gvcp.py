@@ -131,7 +131,7 @@ PACKET_ID_MASK = 0x00FFFFFF
 
 _WORD, _PAIR = struct.Struct(">I"), struct.Struct(">II")
 _RESEND, _READ_MEMORY = struct.Struct(">HHII"), struct.Struct(">IHH")
-_ACTION, _SCHEDULED_ACTION = struct.Struct(">III"), struct.Struct(">IIIQ")
+_SCHEDULED_ACTION = struct.Struct(">IIIQ")
 
 
 def encode_words(values: Iterable[int]) -> bytes:
@@ -180,28 +180,21 @@ def decode_resend(payload: bytes) -> tuple[int, int, int]:
 
 @dataclass(frozen=True)
 class Action:
-    """ACTION: every device whose keys fit and whose mask meets this one acts, at once or at ``time_ns``.
-
-    time_ns: when to act, in the devices' common (PTP) time; None: at once.
-    """
+    """A scheduled ACTION: every device whose keys fit and whose mask meets this one acts at ``time_ns`` of PTP."""
 
     device_key: int
     group_key: int
     group_mask: int
-    time_ns: int | None = None
+    time_ns: int
 
     def command(self, request_id: int = 1) -> CommandPacket:
-        keys = self.device_key, self.group_key, self.group_mask
-        if self.time_ns is None:
-            return CommandPacket(Command.ACTION, _ACTION.pack(*keys), request_id)
-        payload = _SCHEDULED_ACTION.pack(*keys, self.time_ns)
+        payload = _SCHEDULED_ACTION.pack(self.device_key, self.group_key, self.group_mask, self.time_ns)
         return CommandPacket(Command.ACTION, payload, request_id, ACKNOWLEDGE | SCHEDULED)
 
     @classmethod
     def decode(cls, packet: CommandPacket) -> Action:
         """Decode a packet. Raises MalformedPacket."""
-        layout = _SCHEDULED_ACTION if packet.flags & SCHEDULED else _ACTION
-        return cls(*_unpack(layout, packet.payload, "ACTION"))
+        return cls(*_unpack(_SCHEDULED_ACTION, packet.payload, "scheduled ACTION"))
 
 
 # --- the answer to DISCOVERY: the first 0xF8 bytes of a device's bootstrap registers

@@ -95,12 +95,12 @@ def arm_action(camera, client):
 
 def test_action_for_others_is_not_answered(camera, client):
     arm_action(camera, client)
-    for stranger in (Action(9, 2, 6), Action(1, 9, 6), Action(1, 2, 8)):
+    for stranger in (Action(9, 2, 6, 0), Action(1, 9, 6, 0), Action(1, 2, 8, 0)):
         client.send_packet(stranger.command())
     assert client.is_silent()
-    client.send_packet(Action(1, 2, 2).command(request_id=77))
+    client.send_packet(Action(1, 2, 2, 0).command(request_id=77))
     answer = client.receive()
-    assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, 0, 77)
+    assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, Status.NO_REFERENCE_TIME, 77)
 
 
 # --- registers and their description ----------------------------------------------------------------------------------

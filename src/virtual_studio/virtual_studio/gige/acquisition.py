@@ -142,29 +142,25 @@ class Acquisition:
         self.running = False
         self._cancel()
 
-    def trigger(self, source: str, instant_ns: int) -> bool:
-        """Handles a trigger at an instant (of the loop's clock, ns); True when it starts an exposure."""
+    def trigger(self, source: str, instant_ns: int) -> None:
+        """Handles a trigger at an instant (of the loop's clock, ns)."""
         if not self.running or self.source != source:
-            return False
+            return
         start_ns = instant_ns + round(self._registers.real("TriggerDelay") * 1000)
         if start_ns < self._busy_until_ns:
             self._counters["triggers_missed"] += 1
-            return False
+            return
         self._counters["triggers"] += 1
         self._expose_at(start_ns)
-        return True
 
     def execute_action(self, action: Action) -> Status | None:
-        """Triggers now or at the time of an action command; None when it is meant for other cameras."""
+        """Triggers at the time of an action command; None when it is meant for other cameras."""
         r = self._registers
         if action.device_key != r.integer("ActionDeviceKey") or action.group_key != r.integer("ActionGroupKey"):
             return None
         if not action.group_mask & r.integer("ActionGroupMask"):
             return None
         self._counters["actions"] += 1
-        if action.time_ns is None:
-            self.trigger("Action1", self._now_ns())
-            return Status.SUCCESS
         if not self._clock.is_synchronised:
             return Status.NO_REFERENCE_TIME
         when_ns = self._clock.utc_of(action.time_ns)
