@@ -8,7 +8,7 @@ from capture_rig.settings import setting
 
 PIXEL_FORMATS = (
     *("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "YUV422_8", "YUV422_8_UYVY", "BGR8", "RGB8"),
-    *("Mono8", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed", "Mono10", "Mono12"),
+    *("Mono8", "Mono10", "Mono12"),
 )
 """What gige.pixel_formats converts, in the order of preference."""
 

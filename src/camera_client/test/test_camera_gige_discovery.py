@@ -14,7 +14,7 @@ from discovery_records import discovery_answer
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.gige import discovery
-from camera_client.gige.discovery import discover_at, enlarge_receive_buffer, find_camera, select_interface
+from camera_client.gige.discovery import discover_at, find_camera, select_interface
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
@@ -142,27 +142,3 @@ def test_search_that_finds_no_single_camera_in_reach_says_why(searched, search, 
 def test_other_interfaces_hear_nothing_of_a_search(searched):
     assert searched["other interface"] == "0"
     assert int(searched["other interface when named"]) > 0
-
-
-# --- receiving ---------------------------------------------------------------------------------------------------
-
-
-def test_receive_buffer_of_the_right_socket_is_enlarged():
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-    ):
-        stream.bind(("127.0.0.1", 0))
-        other.bind(("127.0.0.1", 0))
-        before = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        assert enlarge_receive_buffer(stream.getsockname()[1], 100_000) == ""
-        assert stream.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == 200_000  # Linux reports twice
-        assert other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == before
-
-
-def test_receive_buffer_that_the_system_caps_and_a_socket_that_is_not_there_are_warned_of():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream:
-        stream.bind(("127.0.0.1", 0))
-        warning = enlarge_receive_buffer(stream.getsockname()[1], 1 << 30)
-    assert "sysctl -w net.core.rmem_max=1073741824" in warning
-    assert "not found" in enlarge_receive_buffer(1, 100_000)

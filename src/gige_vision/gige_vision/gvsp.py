@@ -59,10 +59,7 @@ def image_trailer(height: int) -> bytes:
 
 # --- Pixel formats: their names and codes (EMVA Pixel Format Naming Convention), how many bytes an image has.
 #
-# Bits 16 to 23 of a code are the bits that a pixel occupies. The ``p`` formats are one long number, the first pixel in
-# its lowest bits. The ``Packed`` formats are those of GigE Vision: two pixels in three bytes, the first byte the upper
-# eight bits of the first pixel, the third those of the second, the one between the lower bits of both (the first
-# pixel's in its lower half).
+# Bits 16 to 23 of a code are the bits that a pixel occupies.
 
 
 class PixelFormat(IntEnum):
@@ -70,11 +67,7 @@ class PixelFormat(IntEnum):
 
     Mono8 = 0x01080001
     Mono10 = 0x01100003
-    Mono10p = 0x010A0046
-    Mono10Packed = 0x010C0004
     Mono12 = 0x01100005
-    Mono12p = 0x010C0047
-    Mono12Packed = 0x010C0006
     BayerGR8 = 0x01080008
     BayerRG8 = 0x01080009
     BayerGB8 = 0x0108000A
@@ -89,5 +82,5 @@ class PixelFormat(IntEnum):
         return not self.name.startswith("Mono")
 
     def image_bytes(self, width: int, height: int) -> int:
-        """Bytes of an image of so many pixels; a last odd pixel of a packed format takes two bytes."""
-        return -(-(self >> 16 & 0xFF) * width * height // 8)
+        """Bytes of an image of so many pixels."""
+        return (self >> 16 & 0xFF) * width * height // 8

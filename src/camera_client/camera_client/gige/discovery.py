@@ -6,7 +6,6 @@ Aravis's own discovery broadcasts on every interface of the machine, the office 
 from __future__ import annotations
 
 import ipaddress
-import os
 import socket
 import time
 from collections.abc import Iterator
@@ -185,7 +184,7 @@ def _answers(sock: socket.socket, deadline_s: float) -> Iterator[DeviceRecord]:
             continue
 
 
-# --- the host's side: network interfaces, and a receive buffer that is large enough to stream through
+# --- the host's network interfaces
 
 
 @dataclass(frozen=True)
@@ -210,31 +209,3 @@ def interfaces() -> tuple[Interface, ...]:
         for entry in [entry for entry in entries if entry.family == socket.AF_INET][:1]:
             found.append(Interface(name, ipaddress.IPv4Interface(f"{entry.address}/{entry.netmask or 32}")))
     return tuple(found)
-
-
-def enlarge_receive_buffer(port: int, wanted_bytes: int) -> str:
-    """Set SO_RCVBUF of this process's UDP socket bound to ``port``; returns a warning, "" when all is well.
-
-    Aravis sizes the socket only when the first packet has come, by which time most of the first frames are lost; its
-    socket is found among the process's own descriptors.
-    """
-    for name in os.listdir("/proc/self/fd"):
-        try:
-            if not os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
-                continue
-            candidate = socket.socket(fileno=os.dup(int(name)))
-        except OSError:  # closed meanwhile
-            continue
-        with candidate:
-            kind = candidate.family, candidate.type
-            if kind != (socket.AF_INET, socket.SOCK_DGRAM) or candidate.getsockname()[1] != port:
-                continue
-            candidate.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
-            granted = candidate.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice the payload
-            if granted >= wanted_bytes:
-                return ""
-            return (
-                f"the system grants a receive buffer of {granted} bytes instead of {wanted_bytes}, frames may be lost; "
-                f"run: sudo sysctl -w net.core.rmem_max={wanted_bytes}"
-            )
-    return f"the stream's socket on port {port} was not found; its receive buffer stays at the system's default"

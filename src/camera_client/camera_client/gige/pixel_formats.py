@@ -3,7 +3,7 @@
 Grey levels of 10 and 12 bits are cut to their upper 8: the background model, and everything after it, works on 8 bits.
 A Bayer mosaic is interpolated, or each tile of 2 x 2 pixels is one pixel of an image at half of the size, which invents
 nothing: silhouettes are better and cheaper so (test_camera_bayer.py).
-Source: EMVA Pixel Format Naming Convention 2.x; GigE Vision 1.x for the ``Packed`` formats.
+Source: EMVA Pixel Format Naming Convention 2.x.
 """
 
 from __future__ import annotations
@@ -36,32 +36,6 @@ def _upper_byte_of(bits: int) -> Convert:
 
     def convert(raw: Bytes, width: int, height: int) -> Image:
         return (raw.view("<u2") >> (bits - 8)).astype(np.uint8).reshape(height, width)
-
-    return convert
-
-
-def _packed(raw: Bytes, width: int, height: int) -> Image:
-    """Mono10Packed, Mono12Packed: bytes 0 and 2 of three are the upper bits of two pixels, byte 1 the rest of both."""
-    image = np.empty(width * height, np.uint8)
-    image[0::2], image[1::2] = raw[0::3], raw[2::3]
-    return image.reshape(height, width)
-
-
-def _row_of_bits(bits: int, group: int) -> Convert:
-    """One long number, the first pixel in its lowest ``bits``; each ``group`` of pixels fills whole bytes."""
-    size = group * bits // 8
-
-    def convert(raw: Bytes, width: int, height: int) -> Image:
-        groups = -(-width * height // group)
-        lacking = groups * size - len(raw)
-        whole = np.pad(raw, (0, lacking)) if lacking else raw
-        image = np.empty(groups * group, np.uint8)
-        for pixel in range(group):
-            first = bits * (pixel + 1) - 8  # of its upper eight bits; they lie in two bytes at most
-            byte = (first - 1) // 8
-            words = np.ndarray(groups, "<u2", whole.data, byte, (size,))
-            np.right_shift(words, first - 8 * byte, out=image[pixel::group], dtype=words.dtype, casting="unsafe")
-        return image[: width * height].reshape(height, width)
 
     return convert
 
@@ -125,10 +99,6 @@ LAYOUTS: dict[str, Layout] = {
     "BGR8": Layout(_opencv(None, 3)),
     "RGB8": Layout(_opencv(cv2.COLOR_RGB2BGR, 3)),
     "Mono8": Layout(_opencv(None, 1)),
-    "Mono10p": Layout(_row_of_bits(10, 4)),
-    "Mono12p": Layout(_row_of_bits(12, 2)),
-    "Mono10Packed": Layout(_packed),
-    "Mono12Packed": Layout(_packed),
     "Mono10": Layout(_upper_byte_of(10)),
     "Mono12": Layout(_upper_byte_of(12)),
 }

@@ -14,7 +14,6 @@ from gige_vision.gvsp import PixelFormat
 from ..frame_source import FrameStatistics, Image
 from ..gige.camera_setup import CameraSetup
 from ..gige.capture_time import SECOND, FrameTimes
-from ..gige.discovery import enlarge_receive_buffer
 from ..gige.pixel_formats import to_image
 from ..settings import AravisSettings
 
@@ -132,24 +131,19 @@ class AravisStream:
 
     def _set_up(self) -> tuple[str, ...]:
         Aravis, s, stream = self._Aravis, self._settings, self._stream
-        warnings = []
         able = self._device.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.PACKET_RESEND
-        if not able:
-            warnings.append("the camera cannot send lost packets again: every lost packet costs a frame")
         resend = Aravis.GvStreamPacketResend
         stream.set_property("packet-resend", resend.ALWAYS if able else resend.NEVER)
         stream.set_property("packet-request-ratio", 1.0)  # all of a frame's packets may be asked for again
         stream.set_property("initial-packet-timeout", FIRST_PACKET_TIMEOUT_US)
         stream.set_property("packet-timeout", PACKET_TIMEOUT_US)
         stream.set_property("frame-retention", round(s.frame_retention_ms * 1000 / s.clock_speed))
-        # FIXED, or Aravis would shrink the buffer that we enlarge here to one frame when the first one comes
         stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
         stream.set_property("socket-buffer-size", s.socket_buffer_bytes)
-        warnings.append(enlarge_receive_buffer(stream.get_port(), s.socket_buffer_bytes))
         payload = max(self._camera.get_payload(), self._image_bytes)
         for _ in range(s.buffers):
             stream.push_buffer(self._new_buffer(payload))
-        return tuple(warning for warning in warnings if warning)
+        return () if able else ("the camera cannot send lost packets again: every lost packet costs a frame",)
 
     def _new_buffer(self, size: int) -> Any:
         """A buffer of Aravis over memory of NumPy, which lives as long as the buffer does: PyGObject keeps it."""

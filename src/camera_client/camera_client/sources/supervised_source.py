@@ -67,7 +67,6 @@ class SupervisedSource(FrameSource):
         self._next_try_s = self._heard_s = self._silent_s = self._limit_s = 0.0
         self._downtime = Downtime()
         self._arrived, self._ever_connected = 0, False
-        self._details: dict[str, str] = {}
 
     # --- the source's contract -----------------------------------------------------------------------------------
 
@@ -131,7 +130,7 @@ class SupervisedSource(FrameSource):
     @property
     def details(self) -> dict[str, str]:
         source = self._source
-        return dict(self._details) if source is None else source.details
+        return {} if source is None else source.details
 
     @property
     def lost(self) -> bool:
@@ -204,7 +203,6 @@ class SupervisedSource(FrameSource):
                 return
             self._past_statistics = self._past_statistics + source.statistics
             self._past_counters.update(source.counters)
-        self._details = {}
         self._closing = [call for call in self._closing if not call.done()] + [in_background(source.close, after)]
 
     # --- while it does not ---------------------------------------------------------------------------------------
@@ -236,8 +234,7 @@ class SupervisedSource(FrameSource):
         """Take a new connection into use. Raises InputError, with nothing left open, when that fails."""
         with self._lock:
             self._source = source
-        self.shape, self.description, self._details = source.shape, source.description, source.details
-        self.warnings = source.warnings
+        self.shape, self.description, self.warnings = source.shape, source.description, source.warnings
         try:
             self._accept(source)
             if self._running:
