@@ -12,7 +12,7 @@ from gige_vision.bootstrap import Capability
 from .acquisition import Acquisition, CameraClock, TriggerWire
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
-from .gvcp_server import ControlPrivilege, GvcpServer
+from .gvcp_server import GvcpServer
 from .imaging import ImagingPipeline
 from .loop import EventLoop
 from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml
@@ -130,9 +130,9 @@ class _PoweredCamera:
         self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
         self._stream = StreamChannel(device)
         self.acquisition = Acquisition(device, camera.scene, self._clock, ImagingPipeline(device), self._stream)
-        self.privilege = ControlPrivilege(device, self.acquisition.stop)
+        acquisition, stream = self.acquisition, self._stream
         try:
-            self._server = GvcpServer(device, self.privilege, self._stream.resend, self.acquisition.execute_action)
+            self._server = GvcpServer(device, acquisition.stop, stream.resend, acquisition.execute_action)
         except InputError:
             self._stream.close()
             raise
@@ -143,13 +143,11 @@ class _PoweredCamera:
         r.writes["TimestampControl"] = self._latch_time
 
     def close(self) -> None:
-        self.acquisition.stop()
-        self.privilege.release()
         self._server.close()
         self._stream.close()
 
     def status(self) -> dict[str, object]:
-        owner = self.privilege.owner
+        owner = self._server.owner
         p50, p99, most = np.percentile(np.array(self.acquisition.lateness_ns or [0]) / 1e3, (50, 99, 100)).round(1)
         return {
             "user_id": self.registers["DeviceUserID"],
