@@ -5,12 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
-
-PIXEL_FORMATS = (
-    *("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "YUV422_8", "YUV422_8_UYVY", "BGR8", "RGB8"),
-    *("Mono8", "Mono10", "Mono12"),
-)
-"""What gige.pixel_formats converts, in the order of preference."""
+from gige_vision.gvsp import PixelFormat
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class AravisSettings:
     pixel_format: str = setting(
         "auto",
         "GenICam pixel format; auto prefers 8-bit Bayer, then YUV422, BGR8, RGB8, Mono8, deeper mono",
-        choices=("auto", *PIXEL_FORMATS),
+        choices=("auto", *PixelFormat.__members__),
     )
     exposure_us: float = setting(-1.0, "Exposure time", unit="us", low=-1, high=1e7)
     gain: float = setting(-1.0, "Gain in the camera's own unit (mostly dB)", low=-1, high=1e6)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from camera_client.gige.pixel_formats import (
-    LAYOUTS,
     can_be_halved,
     choose_format,
     find_format,
@@ -12,12 +11,7 @@ from camera_client.gige.pixel_formats import (
     standard_name,
     to_image,
 )
-from camera_client.settings import PIXEL_FORMATS
 from gige_vision.gvsp import PixelFormat
-
-
-def test_settings_offer_every_format_that_is_converted_in_the_order_of_preference():
-    assert tuple(LAYOUTS) == PIXEL_FORMATS
 
 
 @pytest.mark.parametrize("name, bits", [("Mono10", 10), ("Mono12", 12)])
@@ -79,7 +73,7 @@ def test_tiles_of_a_mosaic_are_pixels_of_half_the_size(name):
     assert can_be_halved(name, 8, 6) and not can_be_halved(name, 7, 6) and not can_be_halved("BGR8", 8, 6)
 
 
-@pytest.mark.parametrize("name", PIXEL_FORMATS)
+@pytest.mark.parametrize("name", PixelFormat.__members__)
 def test_image_has_memory_of_its_own_and_more_bytes_do_no_harm_and_too_few_are_no_image(name):
     data = np.full(PixelFormat[standard_name(name)].image_bytes(8, 4) + 100, 100, np.uint8)
     image = to_image(data, name, 8, 4)

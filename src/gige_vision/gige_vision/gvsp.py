@@ -63,19 +63,19 @@ def image_trailer(height: int) -> bytes:
 
 
 class PixelFormat(IntEnum):
-    """Codes by their standard names."""
+    """Codes by their standard names, in the order in which clients prefer them."""
 
+    BayerRG8 = 0x01080009
+    BayerGR8 = 0x01080008
+    BayerGB8 = 0x0108000A
+    BayerBG8 = 0x0108000B
+    YUV422_8 = 0x02100032
+    YUV422_8_UYVY = 0x0210001F
+    BGR8 = 0x02180015
+    RGB8 = 0x02180014
     Mono8 = 0x01080001
     Mono10 = 0x01100003
     Mono12 = 0x01100005
-    BayerGR8 = 0x01080008
-    BayerRG8 = 0x01080009
-    BayerGB8 = 0x0108000A
-    BayerBG8 = 0x0108000B
-    RGB8 = 0x02180014
-    BGR8 = 0x02180015
-    YUV422_8_UYVY = 0x0210001F
-    YUV422_8 = 0x02100032
 
     @property
     def is_colour(self) -> bool:

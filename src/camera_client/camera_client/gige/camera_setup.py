@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from capture_rig.errors import InputError
+from gige_vision.gvsp import PixelFormat
 
-from ..settings import PIXEL_FORMATS, AravisSettings
+from ..settings import AravisSettings
 from .features import FLOAT_TOLERANCE, Features
 from .pixel_formats import can_be_halved, choose_format, find_format, image_shape, standard_name
 from .triggers import switch_triggers_off
@@ -67,7 +68,7 @@ def _set_format(features: Features, settings: AravisSettings, channels: str) -> 
         raise InputError(
             f"does not offer pixel format {wanted!r} but {', '.join(available)}",
             where=features.where,
-            remedy=f"aravis.pixel_format can be {', '.join(PIXEL_FORMATS)}.",
+            remedy=f"aravis.pixel_format can be {', '.join(PixelFormat.__members__)}.",
         )
     features.set("PixelFormat", chosen, "aravis.pixel_format")
     return chosen
