@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from typing import Any
 
@@ -64,22 +64,17 @@ class AravisFeatures:
         if name not in self._kinds:
             node = self._device.get_feature(name)
             self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
-        if self._kinds[name] is None:
-            return None
-        with device_errors(self._Aravis, self._GLib):
-            return self._kinds[name] if self._device.is_feature_available(name) else None
+        available = self._kinds[name] is not None and self._ask("is_feature_available", name)
+        return self._kinds[name] if available else None
 
     def read(self, name: str) -> Value:
-        with device_errors(self._Aravis, self._GLib):
-            return self._method("get_{}_feature_value", name)(name)
+        return self._ask(f"get_{self._type_of(name)}_feature_value", name)
 
     def write(self, name: str, value: Value) -> None:
-        with device_errors(self._Aravis, self._GLib):
-            self._method("set_{}_feature_value", name)(name, value)
+        self._ask(f"set_{self._type_of(name)}_feature_value", name, value)
 
     def execute(self, name: str) -> None:
-        with device_errors(self._Aravis, self._GLib):
-            self._device.execute_command(name)
+        self._ask("execute_command", name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
         """Return smallest and largest value of a number; None where the device does not describe it."""
@@ -93,30 +88,32 @@ class AravisFeatures:
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
-        with device_errors(self._Aravis, self._GLib):
-            return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
+        return tuple(self._ask("dup_available_enumeration_feature_values_as_strings", name) or ())
 
     def read_register(self, address: int) -> int:
-        with device_errors(self._Aravis, self._GLib):
-            return self._device.read_register(address) & 0xFFFFFFFF
+        return self._ask("read_register", address) & 0xFFFFFFFF
 
     def write_register(self, address: int, value: int) -> None:
-        with device_errors(self._Aravis, self._GLib):
-            self._device.write_register(address, value)
+        self._ask("write_register", address, value)
 
-    def _method(self, method: str, name: str) -> Callable[..., Any]:
-        """Return the device's method for what a feature holds. Raises DeviceRefusal where it holds no value."""
+    def _ask(self, method: str, *arguments: Any) -> Any:
+        with device_errors(self._Aravis, self._GLib):
+            return getattr(self._device, method)(*arguments)
+
+    def _type_of(self, name: str) -> str:
+        """Return Aravis's word for what a feature holds. Raises DeviceRefusal where it holds no value."""
         kind = self.kind(name)
         if kind is None or kind is Kind.COMMAND:
             raise DeviceRefusal(f"{name} holds no value now")
-        return getattr(self._device, method.format("string" if kind is Kind.ENUMERATION else kind.value))
+        return "string" if kind is Kind.ENUMERATION else kind.value
 
     def _described(self, method: str, name: str) -> Any:
         """Return what the device's description says of a number; None where it does not, and of what is none."""
-        if self.kind(name) not in (Kind.INTEGER, Kind.FLOAT):
+        kind = self.kind(name)
+        if kind not in (Kind.INTEGER, Kind.FLOAT):
             return None
-        with contextlib.suppress(DeviceRefusal), device_errors(self._Aravis, self._GLib):
-            return self._method(method, name)(name)
+        with contextlib.suppress(DeviceRefusal):
+            return self._ask(method.format(kind.value), name)
         return None
 
 
