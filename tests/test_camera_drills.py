@@ -32,7 +32,7 @@ from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
-from virtual_studio.gige import CameraSettings, SimulatedCamera, free_addresses
+from virtual_studio.gige import CameraSettings, SimulatedCamera, free_address
 from virtual_studio.rig import ring
 
 WIDTH, HEIGHT, FPS = 320, 240, 30.0
@@ -111,7 +111,7 @@ class CameraPC:
     def __init__(self, name: str, folder: Path, listener: GraphListener, rig: Path, **parameters: object) -> None:
         self.name, self.folder, self.listener = name, folder, listener
         self.node = f"/{name}/camera_client"
-        self.address = free_addresses(1)[0]
+        self.address = free_address()
         self.camera = SimulatedCamera(
             self.address, Room(), CameraSettings(serial=f"S-{name}", frame_rate=FPS, noise=1.5, seed=len(name))
         ).start()
@@ -202,7 +202,7 @@ DEAD_CAMERA_S = 2.4  # one access to a dead camera blocks longer
 def cameras_possible():
     try:
         import_aravis()
-        free_addresses(1)
+        free_address()
     except InputError as error:
         pytest.skip(str(error))
 

@@ -18,7 +18,7 @@ from camera_client.gige.discovery import discover_at, find_camera, select_interf
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
-from virtual_studio.gige import free_addresses
+from virtual_studio.gige import free_address
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
 NETWORK_SCRIPT = pathlib.Path(__file__).with_name("discovery_network.py")
@@ -41,7 +41,7 @@ def answering(listener, *packets):
 
 @pytest.fixture
 def listener():
-    [address] = free_addresses(1)
+    address = free_address()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind((address, PORT))
         yield sock
@@ -64,7 +64,7 @@ def test_mute_and_absent_cameras_are_unavailable_and_nobody_else_is_asked(listen
         discover_at(address)
     listener.setblocking(False)
     assert [listener.recv(2048) for _ in range(discovery.ATTEMPTS)] == [discovery.DISCOVERY.encode()] * 3
-    [absent] = free_addresses(1)
+    absent = free_address()
     with pytest.raises(SourceUnavailable, match=rf"{absent} \(Connection refused\).*ping"):
         discover_at(absent)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from camera_client.gige.triggers import ACTION_COUNTERS, ACTION_GROUP, ActionSender, TriggerSchedule, TriggerThread
 from camera_client.sources.aravis_stream import first_of_run
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, CommandPacket, Status
-from virtual_studio.gige import free_addresses
+from virtual_studio.gige import free_address
 
 MS, SECOND = 1_000_000, 1_000_000_000
 NOW_NS = 1_795_247_381_146_041_260
@@ -89,7 +89,7 @@ def test_thread_fires_instants_when_they_are_due_and_stops():
 @pytest.fixture
 def device():
     """A socket where a camera would listen, and a sender that talks to it."""
-    [address] = free_addresses(1)
+    address = free_address()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind((address, PORT))
         listener.settimeout(PATIENCE_S)

@@ -78,12 +78,12 @@ def test_exposure_gain_and_light_change_the_brightness_by_their_factors():
     assert (camera.of(scene, ExposureTime=2000.0) == 25).all()
 
 
-def test_sensor_noise_has_the_deviation_that_was_set_and_stays_under_the_lens_cap():
+def test_sensor_noise_has_the_deviation_that_was_set_and_stays_without_light():
     camera, scene = Imaging(320, 240, noise=4.0), np.full((240, 320), 100, np.uint8)
     frames = np.array([camera.of(scene) for _ in range(8)], float)
     deviation = np.sqrt(frames.var(axis=0, ddof=1).mean())  # in time, so that every frame has noise of its own
     assert deviation == pytest.approx(4.0, rel=0.03) and frames.mean() == pytest.approx(100.0, abs=0.1)
-    camera.faults.lens_cap = True
+    camera.faults.light = 0.0
     dark = camera.of(scene)
     assert dark.max() > 0 and dark.mean() < 5
     assert (dark == 0).mean() == pytest.approx(0.55, abs=0.08)  # the negative half of the noise is cut off

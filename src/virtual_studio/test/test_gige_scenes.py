@@ -14,7 +14,7 @@ from capture_rig.rig import save_rig
 from capture_rig.session import load_session
 from stick_figure.body import Body
 from virtual_studio.boards import PosedBoard, on_floor, print_of
-from virtual_studio.gige import Studio, StudioSettings, free_addresses
+from virtual_studio.gige import Studio, StudioSettings, free_address
 from virtual_studio.gige.__main__ import request_from, write_rig_files
 from virtual_studio.gige.rendered_scenes import PHASES, RoomScene, SetupScene
 from virtual_studio.gige.scenes import PatternScene, load_session_scene
@@ -165,7 +165,7 @@ def test_phases_follow_each_other_and_begin_again(scene):
 
 @pytest.fixture(scope="module")
 def studio():
-    address = free_addresses(1)[0]
+    address = free_address()
     with Studio(StudioSettings(scene="setup", cameras=1, address=address)) as studio:
         yield studio
 
@@ -191,7 +191,7 @@ def test_files_of_a_setup_tell_nobody_the_calibration(studio, tmp_path):
 
 def test_studio_without_a_setup_has_no_phases():
     with (
-        Studio(StudioSettings(pattern=True, cameras=1, address=free_addresses(1)[0])) as studio,
+        Studio(StudioSettings(pattern=True, cameras=1, address=free_address())) as studio,
         pytest.raises(InputError, match="--scene setup"),
     ):
         studio.handle({"do": "show", "phase": "floor"})

@@ -18,7 +18,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from gige_vision import bootstrap
 from gige_vision.gvcp import Command, DeviceRecord
-from virtual_studio.gige import Studio, StudioSettings, free_addresses
+from virtual_studio.gige import Studio, StudioSettings, free_address
 from virtual_studio.gige.__main__ import main, request_from, speed_argument, write_rig_files
 from virtual_studio.gige.device import consecutive_addresses, is_free
 from virtual_studio.gige.loop import ask
@@ -27,7 +27,7 @@ from virtual_studio.gige.loop import ask
 def first_of_free(count):
     """The first of so many free addresses in a row."""
     for _ in range(200):
-        first = free_addresses(1)[0]
+        first = free_address()
         if int(first.split(".")[3]) + count < 255 and all(is_free(a) for a in consecutive_addresses(first, count)):
             return first
     pytest.skip("no row of free loopback addresses was found")

@@ -54,8 +54,7 @@ class Faults:
     stall : no frames leave, while control goes on answering.
     unplugged : the cable is out: nothing is answered and nothing is sent, but the camera keeps its state.
     frozen : the picture does not change any more; stamps and ids go on.
-    lens_cap : black pictures (with the sensor's noise).
-    light : a factor on the light of the scene; 0.06: the lamps are off.
+    light : a factor on the light of the scene; 0.06: the lamps are off, 0: the lens is covered.
     stamp_jump_ns : added to the camera's clock.
     wrong_format : leaders announce another pixel format than the one that was set.
     no_resend : the camera neither offers nor answers packet resends.
@@ -66,7 +65,6 @@ class Faults:
     stall: bool = False
     unplugged: bool = False
     frozen: bool = False
-    lens_cap: bool = False
     light: float = 1.0
     stamp_jump_ns: int = 0
     wrong_format: bool = False
@@ -126,23 +124,17 @@ FIRST, LAST = int(ipaddress.IPv4Address("127.0.32.1")), int(ipaddress.IPv4Addres
 _ATTEMPTS = 1000
 
 
-def free_addresses(count: int) -> list[str]:
-    """Finds so many loopback addresses whose GVCP port is free; another call gives other ones.
+def free_address() -> str:
+    """Finds a loopback address whose GVCP port is free; another call gives another one, mostly.
 
-    Raises InputError where the system lends none (a system without the whole of 127.0.0.0/8).
+    Raises InputError where the system lends none.
     """
-    found: dict[str, None] = {}
     for _ in range(_ATTEMPTS):
-        if len(found) == count:
-            return list(found)
         address = ipaddress.IPv4Address(random.randint(FIRST, LAST))
         if address.packed[3] not in (0, 255) and is_free(str(address)):
-            found[str(address)] = None
-    raise InputError(
-        f"found only {len(found)} of {count} free loopback addresses",
-        where=f"port {PORT}",
-        remedy="Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface.",
-    )
+            return str(address)
+    remedy = "Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface."
+    raise InputError("found no free loopback address", where=f"port {PORT}", remedy=remedy)
 
 
 def is_free(address: str) -> bool:

@@ -87,8 +87,6 @@ class ImagingPipeline:
 
     def _exposed(self, scene: Image) -> Image:
         """Return it as bright as exposure, gain (dB) and light make it, relative to the nominal exposure and 0 dB."""
-        if self._faults.lens_cap:
-            return np.zeros_like(scene)
         exposure = self._registers.real("ExposureTime") / self._settings.nominal_exposure_us
         factor = exposure * 10.0 ** (self._registers.real("Gain") / 20.0) * self._faults.light
         if factor == 1.0:
