@@ -7,7 +7,6 @@ from camera_client.gige.capture_time import (
     CameraTime,
     ClockReading,
     FrameTimes,
-    PtpTime,
     after_last,
     choose_time_source,
     read_clock,
@@ -160,7 +159,7 @@ def test_camera_time_without_a_reading_is_late_by_the_least_delay_and_says_so():
 
 def ptp(tai_utc_offset_s=37):
     reading = ClockReading(HOST_EPOCH_NS + tai_utc_offset_s * SECOND, HOST_EPOCH_NS, 60 * US)
-    return PtpTime(tai_utc_offset_s, "exposure_start", 60 * US, CameraTime(reading, "exposure_start"))
+    return CameraTime(reading, "exposure_start", tai_utc_offset_s * SECOND, 60 * US)
 
 
 def test_ptp_time_is_believed_while_frames_are_held_up():

@@ -27,6 +27,7 @@ BUCKET_NS, BUCKETS = 250 * MS, 16  # the least delayed frame of each quarter of 
 JUMP_NS = 50 * MS  # delays vary by less, unless for a moment
 PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is set wrong
 PTP_IN_STEP = ("Slave", "Master")
+MAPPED, PTP = "camera, mapped onto the host", "PTP"  # whose clock a stamp is from
 ARRIVAL_UNCERTAINTY_NS = 5 * MS  # readout, transfer and scheduling between the end of exposure and its first packet
 UNREAD_CLOCK_UNCERTAINTY_NS = 1 * MS  # readout and first packet, of a camera whose clock cannot be read
 UNSEEN_DELAY_NS = 200_000  # by which the smallest delay may change with the computers' load, or a drift not seen yet
@@ -171,20 +172,29 @@ class ArrivalTime:
 
 
 class CameraTime:
-    """The camera's own clock, mapped onto the host's by the least delayed frames.
+    """The camera's own clock, mapped onto the host's by the least delayed frames; or as it is, where PTP keeps it.
 
     reading : of the camera's clock at the start: it gives the smallest delay of a frame, which is then taken out. None:
         the delay is taken for the rest of the exposure, and the stamp is uncertain by a millisecond more.
+    ptp_ahead_ns : by how much a PTP clock is ahead of UTC (TAI, or 0 where the grandmaster gives UTC); None: no PTP. A
+        frame whose PTP time cannot be right, after it arrived or long before, is stamped by the map.
+    ptp_uncertainty_ns : how well the camera's clock was found to agree with the system's at the start.
 
-    Uncertain by that of the reading and by how unsteady the smallest delay is (twice the spread of the least delayed
-    frames, and 0.2 ms for changes that no frame shows); in the first second after the camera's clock was set also by
-    what a frame may be late.
+    The map is uncertain by what the reading is and by how unsteady the smallest delay is (twice the spread of the least
+    delayed frames, and 0.2 ms for changes that no frame shows); in the first second after the camera's clock was set
+    also by what a frame may be late.
     """
 
-    name = "camera, mapped onto the host"
-
-    def __init__(self, reading: ClockReading | None, camera_stamps: str) -> None:
-        self._reading, self._camera_stamps = reading, camera_stamps
+    def __init__(
+        self,
+        reading: ClockReading | None,
+        camera_stamps: str,
+        ptp_ahead_ns: int | None = None,
+        ptp_uncertainty_ns: int = 0,
+    ) -> None:
+        self._reading, self._to_middle = reading, MIDDLE[camera_stamps]
+        self._ptp_ahead_ns, self._ptp_uncertainty_ns = ptp_ahead_ns, ptp_uncertainty_ns
+        self.name = MAPPED if ptp_ahead_ns is None else PTP
         self._clock = CameraClock()
         self._delay_ns: int | None = None
 
@@ -194,50 +204,28 @@ class CameraTime:
 
     def stamp(self, times: FrameTimes) -> Stamp:
         host_ns = self._clock.to_host_ns(times.camera_ns, times.arrival_ns)
-        to_middle_ns = round(MIDDLE[self._camera_stamps] * times.exposure_ns)
-        delay_ns = self._smallest_delay(times)
+        to_middle_ns = round(self._to_middle * times.exposure_ns)
+        mapped_ns = host_ns - self._smallest_delay(times) + to_middle_ns
+        if self._ptp_ahead_ns is not None:
+            taken_ns = times.camera_ns - self._ptp_ahead_ns + to_middle_ns
+            if abs(taken_ns - mapped_ns) <= PTP_TOLERANCE_NS:
+                return Stamp(taken_ns, self._ptp_uncertainty_ns, PTP)
         unsure_ns = UNREAD_CLOCK_UNCERTAINTY_NS if self._reading is None else self._reading.uncertainty_ns
         unsure_ns += UNSEEN_DELAY_NS + round(2 * self._clock.spread_ns)
         if self._clock.jumps and self._clock.span_ns < SECOND:
             unsure_ns += ARRIVAL_UNCERTAINTY_NS
-        return Stamp(host_ns - delay_ns + to_middle_ns, unsure_ns, self.name)
+        return Stamp(mapped_ns, unsure_ns, MAPPED)
 
     def _smallest_delay(self, times: FrameTimes) -> int:
         """From the instant that the camera stamps to the arrival of the least delayed frame."""
         if self._reading is None:
-            return round((0.5 + MIDDLE[self._camera_stamps]) * times.exposure_ns)
+            return round((0.5 + self._to_middle) * times.exposure_ns)
         if self._delay_ns is None or (self._clock.jumps == 0 and self._clock.span_ns < BUCKETS * BUCKET_NS):
             self._delay_ns = max(self._clock.offset_ns - self._reading.offset_ns, 0)
         return self._delay_ns
 
 
-class PtpTime:
-    """A camera's clock that PTP keeps: TAI (or UTC, where the grandmaster says so), no mapping needed.
-
-    tai_utc_offset_s : seconds by which the clock is ahead of UTC.
-    uncertainty_ns : how well the camera's clock was found to agree with the system's at the start.
-    fallback : stamps the frames whose PTP time cannot be right: after they arrived, or long before. ``jumps`` counts
-        how often that began.
-    """
-
-    name = "PTP"
-
-    def __init__(self, tai_utc_offset_s: int, camera_stamps: str, uncertainty_ns: int, fallback: CameraTime) -> None:
-        self._ahead_ns, self._camera_stamps = tai_utc_offset_s * SECOND, camera_stamps
-        self._uncertainty_ns, self._fallback = uncertainty_ns, fallback
-        self._in_step = True
-        self.jumps = 0
-
-    def stamp(self, times: FrameTimes) -> Stamp:
-        mapped = self._fallback.stamp(times)
-        taken_ns = times.camera_ns - self._ahead_ns + round(MIDDLE[self._camera_stamps] * times.exposure_ns)
-        in_step = abs(taken_ns - mapped.ns) <= PTP_TOLERANCE_NS
-        self.jumps += self._in_step and not in_step
-        self._in_step = in_step
-        return Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
-
-
-TimeSource = ArrivalTime | CameraTime | PtpTime
+TimeSource = ArrivalTime | CameraTime
 """Stamps the frames of one run, in the order of their arrival (see :func:`after_last`): ``stamp(times)``.
 
 ``name``: whose clock the stamps are from, for diagnostics; ``jumps``: how often it was found to have been set.
@@ -272,7 +260,7 @@ def choose_time_source(
         away_ns = -reading.offset_ns - offset_s * SECOND
         unsure_ns = max(abs(away_ns), reading.uncertainty_ns)
         if unsure_ns <= PTP_TOLERANCE_NS + reading.uncertainty_ns:
-            return PtpTime(offset_s, settings.camera_stamps, unsure_ns, mapped), ""
+            return CameraTime(reading, settings.camera_stamps, offset_s * SECOND, unsure_ns), ""
         objection = (
             f"its clock is {offset_s + away_ns / SECOND:.3f} s ahead of this host's UTC, not {offset_s} s as "
             "aravis.tai_utc_offset_s says (37: the grandmaster gives TAI, 0: UTC); set that right, or this host's "
