@@ -13,7 +13,7 @@ from capture_rig.rig import Rig
 from capture_rig.session import load_session
 from capture_rig.settings import setting
 from capture_rig.stamps import CaptureClock
-from rig_calibration.boards.board import Board, board_text, read_board
+from rig_calibration.boards.board import board_text, read_board
 
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
@@ -73,18 +73,21 @@ def built_in_rig(cameras: int) -> Rig:
 class Studio:
     """Runs N simulated cameras in one process and one thread; start() and close(), or a context manager.
 
-    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` what they see.
+    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` what they see,
+    ``setup`` the same where it is a set-up, whose cameras are still to be calibrated.
     Raises InputError for a session that cannot be read, or an address that is taken.
     """
 
     def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:
         self.settings = settings or StudioSettings()
         self.scene = make_studio_scene(self.settings)
+        self.rig, self.playback = self.scene.rig, self.scene.playback
+        self.setup = self.scene if isinstance(self.scene, SetupScene) else None
         self._control_path = Path(control) if control else None
         self._control: ControlServer | None = None
         self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
-        names = self.scene.rig.names
+        names = self.rig.names
         addresses = consecutive_addresses(self.settings.address, len(names))
         self.cameras = {
             name: SimulatedCamera(
@@ -92,30 +95,6 @@ class Studio:
             )
             for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
         }
-
-    @property
-    def rig(self) -> Rig:
-        return self.scene.rig
-
-    @property
-    def playback(self) -> Playback | None:
-        """The playback, which can be emptied and played from the start; None for the test pattern."""
-        return self.scene.playback
-
-    @property
-    def setup(self) -> SetupScene | None:
-        """The set-up that is shown, if one is."""
-        return self.scene if isinstance(self.scene, SetupScene) else None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """False for a set-up: its cameras are still to be calibrated."""
-        return self.setup is None
-
-    @property
-    def boards(self) -> tuple[Board, Board]:
-        """Boards of a set-up: the one waved before the cameras, and the one on the floor."""
-        return read_board(self.settings.hand_board), read_board(self.settings.floor_board)
 
     @property
     def frame_rate(self) -> float:
