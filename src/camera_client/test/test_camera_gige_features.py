@@ -6,7 +6,7 @@ import pytest
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.gige.features import DeviceRefusal, Features, Kind
-from camera_client.gige.triggers import TIMER_LEAD_NS, await_ptp, ptp_status, synchronise
+from camera_client.gige.triggers import TIMER_LEAD_NS, await_ptp, synchronise
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 
@@ -194,14 +194,6 @@ class PtpDevice(Device):
             self.after -= 1
             return "Slave" if self.after < 0 else "Listening"
         return super().read(name)
-
-
-def test_ptp_is_awaited_until_it_is_in_step():
-    slept = []
-    device = PtpDevice(after=4)
-    assert ptp_status(Features(device, "X")) is None
-    await_ptp(Features(device, "X"), AravisSettings(), lambda: sum(slept), slept.append)
-    assert len(slept) == 4 and device.log.count("GevIEEE1588DataSetLatch") == 6
 
 
 def test_ptp_that_never_comes_is_given_up_and_a_camera_without_it_refused():

@@ -8,7 +8,6 @@ from gige_client import GvcpClient, aravis_modules
 
 from capture_rig.errors import InputError
 from gige_vision.gvcp import Status
-from gige_vision.gvsp import PixelFormat
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
 from virtual_studio.gige.device import Device
 from virtual_studio.gige.feature_table import feature_table
@@ -87,12 +86,6 @@ def test_sensor_noise_has_the_deviation_that_was_set_and_stays_without_light():
     dark = camera.of(scene)
     assert dark.max() > 0 and dark.mean() < 5
     assert (dark == 0).mean() == pytest.approx(0.55, abs=0.08)  # the negative half of the noise is cut off
-
-
-def test_payload_follows_region_and_format():
-    camera = Imaging(96, 64)
-    camera.of(np.zeros((64, 96), np.uint8), Width=32, PixelFormat=int(PixelFormat.Mono12))
-    assert camera.registers.integer("PayloadSize") == 32 * 64 * 2
 
 
 def address_of(camera, key):

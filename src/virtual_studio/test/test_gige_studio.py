@@ -1,12 +1,7 @@
 """A whole studio: its cameras, its control channel, its command line."""
 
 import json
-import os
-import re
-import signal
 import socket
-import subprocess
-import sys
 from fractions import Fraction
 from itertools import pairwise
 
@@ -169,28 +164,6 @@ def test_written_files_describe_the_studio(studio, tmp_path):
     parameters = document["/cam02/camera_client"]["ros__parameters"]
     assert parameters["source"] == "aravis"
     assert parameters["aravis"] == {"address": studio.cameras["cam02"].address, "frame_rate": 60.0}
-
-
-def test_program_serves_cameras_and_ends_cleanly_on_a_signal(tmp_path):
-    path, first = tmp_path / "s.sock", first_of_free(2)
-    given = f"--pattern --cameras 2 --address {first} --control {path} --write {tmp_path / 'rig'} --fps 50"
-    command = [sys.executable, "-m", "virtual_studio.gige", *given.split()]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
-    try:
-        lines = []
-        while not lines or "ready" not in lines[-1]:
-            line = process.stdout.readline()
-            assert line, "".join(lines)
-            lines.append(line)
-        assert re.search(rf"cam01\s+{re.escape(first)}\s+serial STUDIO001\s+640 x 480 mono", "".join(lines))
-        assert ask({"do": "status"}, path)["cameras"]["cam02"]["frame_rate"] == 50.0
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-    assert not path.exists()
 
 
 def test_program_says_what_is_wrong_in_one_line(tmp_path, capsys):
