@@ -193,7 +193,10 @@ class Features:
                 f"Write '{found}!' in {key} to run it.",
             )
         assert kind is not None
-        value = self._on_grid(found, self._parsed(found, kind, wanted, key))
+        try:
+            value = self._on_grid(found, _parsed(kind, wanted))
+        except ValueError:
+            raise self._error(f"{found} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
         try:
             self.access.write(found, value)
         except DeviceRefusal as refusal:
@@ -246,12 +249,6 @@ class Features:
                 raise self._error(f"{key} holds {line!r}", "Write 'Name=value', or 'Name!' for a command.")
 
     # --- values --------------------------------------------------------------------------------------------------
-
-    def _parsed(self, name: str, kind: Kind, wanted: Value, key: str) -> Value:
-        try:
-            return _parsed(kind, wanted)
-        except ValueError:
-            raise self._error(f"{name} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
 
     def _on_grid(self, name: str, value: Value) -> Value:
         """Return the value, of an integer in range on its grid; what is out of range is the device's to refuse."""

@@ -216,15 +216,16 @@ class AravisSource(FrameSource):
             "camera_address": device.address,
             "camera_model": f"{device.manufacturer} {device.model}".strip(),
             "pixel_format": setup.pixel_format,
-            "exposure_us": _number_text(setup.exposure_us),
-            "frame_rate": _number_text(setup.frame_rate),
-            "gain": _number_text(features.number("Gain")),
-            "temperature_c": _number_text(features.number("DeviceTemperature")),
+            "exposure_us": setup.exposure_us,
+            "frame_rate": setup.frame_rate,
+            "gain": features.number("Gain"),
+            "temperature_c": features.number("DeviceTemperature"),
             "sync": self._settings.sync,
             "stamps": time_source.name,
             "packet_size": str(self._device.get_packet_size()),
         }
-        return {name: text for name, text in details.items() if text}
+        texts = {name: f"{value:g}" if isinstance(value, float) else value for name, value in details.items()}
+        return {name: text for name, text in texts.items() if text}
 
     # --- while it runs -------------------------------------------------------------------------------------------
 
@@ -265,8 +266,3 @@ class AravisSource(FrameSource):
         except DeviceRefusal as refusal:
             kind = SourceUnavailable if self._features is None else InputError
             raise kind(f"refuses {when} ({refusal})", where=self.description, remedy=remedy) from None
-
-
-def _number_text(number: float | None) -> str:
-    """Return a number as text; "" for None."""
-    return "" if number is None else f"{number:g}"

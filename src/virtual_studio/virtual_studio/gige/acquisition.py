@@ -111,7 +111,7 @@ class Acquisition:
         r.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
         r.writes |= dict.fromkeys(("TriggerMode", "TriggerSource"), self._rearm)
         for name in LOCKED:
-            r.checks[name] = self._locked(r.checks.get(name))
+            r.checks[name].append(self._refuse_while_running)
 
     @property
     def source(self) -> str:
@@ -219,16 +219,9 @@ class Acquisition:
             timer.cancel()
         self._timers = []
 
-    def _locked(self, check: Callable[[Value], None] | None) -> Callable[[Value], None]:
-        """Return a check that refuses while frames are taken, and else is ``check``."""
-
-        def locked(value: Value) -> None:
-            if self.running:
-                raise RegisterError(Status.ACCESS_DENIED)
-            if check is not None:
-                check(value)
-
-        return locked
+    def _refuse_while_running(self, value: Value) -> None:
+        if self.running:
+            raise RegisterError(Status.ACCESS_DENIED)
 
 
 @lru_cache

@@ -40,11 +40,11 @@ class ImagingPipeline:
         self._noise: NDArray[np.int8] | None = None
         self._last: Image | None = None
         checks, writes = device.registers.checks, device.registers.writes
-        checks["ExposureTime"] = lambda value: self._refuse_unless(self._registers.label("ExposureAuto") == "Off")
-        checks["Gain"] = lambda value: self._refuse_unless(self._registers.label("GainAuto") == "Off")
+        checks["ExposureTime"].append(lambda value: self._refuse_while_auto("ExposureAuto"))
+        checks["Gain"].append(lambda value: self._refuse_while_auto("GainAuto"))
         for _, binning, largest, size, offset in _AXES:
-            checks[size] = self._fits(offset, largest)
-            checks[offset] = self._fits(size, largest)
+            checks[size].append(self._fits(offset, largest))
+            checks[offset].append(self._fits(size, largest))
             writes[binning] = writes[size] = self.refresh
         writes["PixelFormat"] = self.refresh
         self.refresh()
@@ -116,9 +116,8 @@ class ImagingPipeline:
 
         return check
 
-    @staticmethod
-    def _refuse_unless(possible: bool) -> None:
-        if not possible:
+    def _refuse_while_auto(self, name: str) -> None:
+        if self._registers.label(name) != "Off":
             raise RegisterError(Status.ACCESS_DENIED)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -116,7 +117,7 @@ class Registers:
         self._values: dict[str, Value] = {f.name: f.default for f in self._features.values()}
         self._at: dict[int, Feature] = {}
         self._file = file
-        self.checks: dict[str, Callable[[Value], None]] = {}
+        self.checks: defaultdict[str, list[Callable[[Value], None]]] = defaultdict(list)
         self.writes: dict[str, Callable[[], object]] = {}
         self.reads: dict[str, Callable[[], Value]] = {}
         for feature in self._features.values():
@@ -179,8 +180,8 @@ class Registers:
         merged = old[:offset] + data[: feature.length - offset]
         value = _decode(feature, merged + old[len(merged) :])
         self._check_limits(feature, value)
-        if feature.name in self.checks:
-            self.checks[feature.name](value)
+        for check in self.checks[feature.name]:
+            check(value)
         return value
 
     def _check_limits(self, feature: Feature, value: Value) -> None:
