@@ -156,14 +156,6 @@ def test_every_format_gives_the_same_picture(gige_camera, name, most):
     assert np.median(inside, axis=(0, 1)).max() <= most
 
 
-def test_colour_is_preferred_and_mono_is_taken_when_asked_for(gige_camera):
-    camera = gige_camera(PatternScene(256, 192, colour=True))
-    with source_of(camera) as source:
-        assert source.shape == (192, 256, 3)
-    with source_of(camera, channels="mono") as source:
-        assert source.shape == (192, 256)
-
-
 def test_frame_in_another_format_than_agreed_is_counted_and_not_misread(gige_camera):
     camera = gige_camera()
     with source_of(camera) as source:

@@ -117,10 +117,3 @@ def test_cameras_come_to_the_clock_that_begins_first_whatever_they_hear_first(or
     held = [shared.offer(clock) for clock in order]
     assert held[-1] == FIRST and announced[-1] == FIRST
     assert announced == sorted(set(announced), reverse=True)  # what no longer holds is announced no more
-
-
-def test_forgotten_clock_holds_no_longer():
-    shared = SharedClock()
-    shared.offer(FIRST)
-    shared.forget()
-    assert shared.offer(THIRD) == THIRD

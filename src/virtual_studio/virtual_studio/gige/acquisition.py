@@ -106,7 +106,7 @@ class Acquisition:
         self._block_id = self._busy_until_ns = 0
         self._timers: list[Timer] = []
         r = self._registers
-        r.reads["ResultingFrameRate"] = lambda: float(1 / self.period_s)
+        r.reads["ResultingFrameRate"] = lambda: float(SECOND_NS / self.period_ns)
         r.writes |= {"AcquisitionStart": self.start, "AcquisitionStop": self.stop}
         r.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
         r.writes |= dict.fromkeys(("TriggerMode", "TriggerSource"), self._rearm)
@@ -119,14 +119,14 @@ class Acquisition:
         return self._registers.label("TriggerSource") if self._registers.integer("TriggerMode") else ""
 
     @property
-    def period_s(self) -> Fraction:
-        """Seconds between exposures that follow each other by themselves; not shorter than an exposure."""
+    def period_ns(self) -> Fraction:
+        """Time between exposures that follow each other by themselves; not shorter than an exposure."""
         r = self._registers
         if self.source == PERIODIC_SIGNAL:
             rate_hz = 1e6 / r.real("BslPeriodicSignalPeriod")
         else:
             rate_hz = r.real("AcquisitionFrameRate") if r.integer("AcquisitionFrameRateEnable") else MOST_HZ
-        return _period_s(rate_hz, self._imaging.exposure_ns)
+        return max(_period_ns(rate_hz), Fraction(self._imaging.exposure_ns))
 
     def start(self) -> None:
         """Begins with block 1."""
@@ -178,7 +178,7 @@ class Acquisition:
 
     def _expose_after(self, after_ns: int) -> None:
         """Schedule the next exposure of a camera whose exposures follow each other by themselves."""
-        period_ns = _nanoseconds(self.period_s)
+        period_ns = self.period_ns
         if self.source == PERIODIC_SIGNAL:  # which the camera's own clock counts
             delay_ns = round(self._registers.real("BslPeriodicSignalDelay") * 1000)
             start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns, delay_ns))
@@ -225,13 +225,8 @@ class Acquisition:
 
 
 @lru_cache
-def _period_s(rate_hz: float, exposure_ns: int) -> Fraction:
-    return max(1 / Fraction(rate_hz).limit_denominator(_RATE_GRAIN), Fraction(exposure_ns, SECOND_NS))
-
-
-@lru_cache
-def _nanoseconds(seconds: Fraction) -> Fraction:
-    return seconds * SECOND_NS
+def _period_ns(rate_hz: float) -> Fraction:
+    return SECOND_NS / Fraction(rate_hz).limit_denominator(_RATE_GRAIN)
 
 
 class TriggerWire:

@@ -9,7 +9,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from gige_vision.bootstrap import Capability
 
-from .acquisition import Acquisition, CameraClock, TriggerWire
+from .acquisition import SECOND_NS, Acquisition, CameraClock, TriggerWire
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
 from .gvcp_server import GvcpServer
@@ -137,7 +137,8 @@ class _PoweredCamera:
             self._stream.close()
             raise
         r, clock = self.registers, self._clock
-        r.reads["GvcpCapability"] = self._capability
+        without = CAPABILITIES & ~Capability.PACKET_RESEND
+        r.reads["GvcpCapability"] = lambda: int(without if camera.faults.no_resend else CAPABILITIES)
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
         r.writes["TimestampControl"] = self._latch_time
@@ -153,15 +154,11 @@ class _PoweredCamera:
             "user_id": self.registers["DeviceUserID"],
             "controller": f"{owner[0]}:{owner[1]}" if owner else "",
             "streaming": self.acquisition.running and self._stream.is_open,
-            "frame_rate": round(float(1 / self.acquisition.period_s), 3),
+            "frame_rate": round(float(SECOND_NS / self.acquisition.period_ns), 3),
             "trigger": self.acquisition.source,
             "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
             "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         }
-
-    def _capability(self) -> int:
-        without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)
-        return int(CAPABILITIES & ~without)
 
     def _latch_time(self) -> None:
         stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
