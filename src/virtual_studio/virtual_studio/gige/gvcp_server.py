@@ -174,11 +174,9 @@ class GvcpServer:
     def _record(self) -> bytes:
         """Return the first bytes of the bootstrap registers; what is not implemented among them reads as zero."""
         record = bytearray(bootstrap.DISCOVERY_SIZE)
-        address = 0
-        while address < len(record):
+        for address in range(0, len(record), 4):
             with contextlib.suppress(RegisterError):
                 record[address : address + 4] = self._registers.read(address, 4)
-            address += 4
         return bytes(record)
 
     def _send(self, answer: AcknowledgePacket, peer: Peer) -> None:
