@@ -106,7 +106,7 @@ class FaultInjector:
                 "unplugged": {"unplugged": True},
                 "stalled": {"stall": True},
                 "packets lost": {"packet_loss": fault.strength},
-                "lens covered": {"lens_cap": True},
+                "lens covered": {"light": 0.0},
                 "picture frozen": {"frozen": True},
             }
             self._studio.ask("set", cameras=camera, faults=switches[kind])

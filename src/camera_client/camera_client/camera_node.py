@@ -137,7 +137,6 @@ class CameraNode(SagomaNode):
             lost, failed = partial(self.health.count, "frames_unpublished"), self._on_error
             self._outbox = Worker("publish", self._publish, PUBLISH_DEPTH, on_drop=lost, on_error=failed)
             self._hand_over = self._outbox.put
-        if live and self.settings.threads > 1:
             self._segmenter = Worker("segment", self._finish, 1, on_drop=lost, on_error=failed)
             self._finish_later = self._segmenter.put_blocking
         self.loop = GrabLoop(
@@ -173,8 +172,8 @@ class CameraNode(SagomaNode):
             self.source = None
 
     def _topic_source(self) -> FrameSource:
-        settings, client, namespace = self.settings, self.get_name(), self.get_namespace()
-        return TopicSource(settings.topic, settings.channels, client, namespace, self.context, self._use_lens)
+        topic, channels, namespace = self.settings.topic, self.settings.channels, self.get_namespace()
+        return TopicSource(topic, channels, namespace, self.context, self._use_lens)
 
     def _use_lens(self, info: CameraInfo) -> None:
         """Use the lens of a driver's camera_info instead of the rig's. Raises InputError."""

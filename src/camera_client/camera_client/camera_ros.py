@@ -39,7 +39,7 @@ from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.pipeline import outline
-from .sources.footage_pace import FootageClock, SharedClock
+from .sources.footage_source import FootageClock, SharedClock
 from .sources.grab_loop import GrabLoop
 
 PREVIEW_PERIOD_S = 0.2

@@ -20,8 +20,7 @@ from capture_rig.visibility import may_be_halved, of_shape
 from .frame_source import FrameSource
 from .settings import CameraClientSettings
 from .sources.aravis_source import AravisSource
-from .sources.footage_pace import SharedClock
-from .sources.footage_source import FootageSource
+from .sources.footage_source import FootageSource, SharedClock
 from .sources.supervised_source import SupervisedSource
 from .sources.webcam_source import WebcamSource
 
@@ -117,7 +116,7 @@ def live_source(
     }
     make = makers[settings.source] if settings.source in makers else plugin(settings)
     assert make is not None
-    return SupervisedSource(make, settings.supervision, accept, lambda source: stall_timeout_s(settings, source))
+    return SupervisedSource(make, accept, lambda source: stall_timeout_s(settings, source))
 
 
 def plugin(settings: CameraClientSettings) -> Callable[[], FrameSource]:

@@ -10,7 +10,7 @@ import math
 import statistics
 import threading
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import defaultdict, deque
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
@@ -72,7 +72,7 @@ class FrameSource(ABC):
     description = "camera"
 
     def __init__(self) -> None:
-        self._counters: dict[str, int] = {}
+        self._counters: dict[str, int] = defaultdict(int)
         self._statistics = FrameStatistics()
         self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
 
@@ -87,7 +87,7 @@ class FrameSource(ABC):
         return self._statistics
 
     def count(self, name: str, by: int = 1) -> None:
-        self.counters[name] = self.counters.get(name, 0) + by
+        self._counters[name] += by
 
     @abstractmethod
     def connect(self) -> None:
@@ -171,19 +171,18 @@ class FrameStatistics:
         """Begin a new run of ids, at ``first_id`` where the device says so (GVSP: 1), else wherever it begins."""
         self._last = None if first_id is None else first_id - 1
 
-    def add(self, frame_id: int, complete: bool = True) -> int:
-        """Take note of a frame that arrived, whole or not; returns how many ids were skipped just before it."""
+    def add(self, frame_id: int, complete: bool = True) -> None:
+        """Take note of a frame that arrived, whole or not."""
         step = self._step_to(frame_id)
         with self._lock:
             if step <= 0:
                 self.repeated += 1
-                return 0
+                return
             self._last = frame_id
             self.expected += step
             self.lost += step - 1
             self.delivered += complete
             self.incomplete += not complete
-        return step - 1
 
     @property
     def arrived(self) -> int:

@@ -5,12 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
-
-PIXEL_FORMATS = (
-    *("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "YUV422_8", "YUV422_8_UYVY", "BGR8", "RGB8"),
-    *("Mono8", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed", "Mono10", "Mono12"),
-)
-"""What gige.pixel_formats converts, in the order of preference."""
+from gige_vision.gvsp import PixelFormat
 
 
 @dataclass(frozen=True)
@@ -39,12 +34,12 @@ class AravisSettings:
     address: str = setting("", "IPv4 address of the camera; nothing is broadcast when it is given")
     serial: str = setting("", "Serial number: verified, or searched for on `interface` when no address is given")
     user_id: str = setting("", "User-defined name of the camera: verified, or searched for, like the serial number")
-    interface: str = setting("", "Where to search by broadcast: names or own addresses of interfaces, with commas")
+    interface: str = setting("", "Where to search by broadcast: name or own address of an interface")
 
     pixel_format: str = setting(
         "auto",
         "GenICam pixel format; auto prefers 8-bit Bayer, then YUV422, BGR8, RGB8, Mono8, deeper mono",
-        choices=("auto", *PIXEL_FORMATS),
+        choices=("auto", *PixelFormat.__members__),
     )
     exposure_us: float = setting(-1.0, "Exposure time", unit="us", low=-1, high=1e7)
     gain: float = setting(-1.0, "Gain in the camera's own unit (mostly dB)", low=-1, high=1e6)
@@ -68,7 +63,6 @@ class AravisSettings:
     trigger_activation: str = setting(
         "RisingEdge", "sync line: the edge", choices=("RisingEdge", "FallingEdge", "AnyEdge")
     )
-    trigger_delay_us: float = setting(-1.0, "From trigger to exposure", unit="us", low=-1, high=1e7)
     action_device_key: int = setting(
         1, "sync action: key of the cameras, another one for each rig of a network", low=0, high=0xFFFFFFFF
     )
@@ -98,7 +92,6 @@ class AravisSettings:
         low=-1000,
         high=1000,
     )
-    chunks: bool = setting(False, "Take time and exposure from the chunks of each frame")
 
     packet_size: int = setting(0, "Bytes of a stream packet; 0: the largest that gets through", low=0, high=16404)
     packet_delay_ns: int = setting(-1, "Pause between the packets of a frame", unit="ns", low=-1, high=10**9)
@@ -259,9 +252,6 @@ class CameraClientSettings:
     background_frames: int = setting(100, "Frames taken by ~/learn_background", low=2, high=100000)
     background_file: str = setting("", "Where ~/learn_background saves the model (.npz); empty: nowhere")
     background_age_h: float = setting(12.0, "A background is old after this; 0: never", unit="h", low=0, high=1e5)
-    threads: int = setting(
-        2, "2: work on a live camera's next frame begins while the silhouette of the last is made", low=1, high=2
-    )
     publish_raw: bool = setting(False, "Publish image_raw (without a rig it is there in any case, for calibration)")
     publish_preview: bool = setting(
         True, "Offer preview/compressed: the image with the silhouette's outline, sent while somebody subscribes"

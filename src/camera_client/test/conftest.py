@@ -12,7 +12,7 @@ from camera_client.sources.aravis_source import import_aravis
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, save_rig
-from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_address
 
 WIDTH, HEIGHT = 160, 120
 FPS = 50.0
@@ -106,7 +106,7 @@ def gige_camera():
     cameras = []
 
     def make(scene=None, *, address=None, loop=None, wire=None, **settings):
-        address = address or free_addresses(1)[0]
+        address = address or free_address()
         scene = scene or PatternScene(256, 192)
         simulated = SimulatedCamera(address, scene, CameraSettings(**settings), loop=loop, wire=wire)
         cameras.append(simulated)

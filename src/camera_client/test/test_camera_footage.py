@@ -11,9 +11,8 @@ from footage_clips import scene as square_scene
 
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import FootageSettings
-from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
-from camera_client.sources.footage_reader import FootageReader, open_footage
-from camera_client.sources.footage_source import READ_AHEAD, FootageSource
+from camera_client.sources.footage_reader import open_footage
+from camera_client.sources.footage_source import LEAD_NS, FootageSource, Pace, SharedClock, WallClockPace
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 
@@ -84,8 +83,6 @@ def test_pause_goes_on_with_the_next_frame(video, scene):
         source.start()
         frames_of(source, 3)
         source.stop()
-        with pytest.raises(InputError, match="not started"):
-            source.read(0.0)
         source.start()
         frames = read_all(source)
     assert [frame.frame_id for frame in frames] == [3, 4, 5, 6, 7]
@@ -110,22 +107,6 @@ def test_start_after_the_end_counts_on_or_takes_a_new_epoch(video, images, scene
     assert [frame.frame_id for frame in again] == list(ids)
     assert first[0].stamp_ns == begin_ns and np.array_equal(again[0].image, images[0])
     assert again[0].stamp_ns == footage_stamp_ns(begin_ns + later_ns, ids[0], scene.fps)
-
-
-def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
-    path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
-    with source_of(path) as source:
-        decoded, original = [], FootageReader.read
-
-        def counted(reader, loop):
-            decoded.append(1)
-            return original(reader, loop)
-
-        monkeypatch.setattr(FootageReader, "read", counted)
-        source.start()
-        for delivered in range(1, 21):
-            frames_of(source, 1)
-            assert len(decoded) <= delivered + READ_AHEAD + 1  # the stored ones, and the one in the decoder's hands
 
 
 @pytest.mark.parametrize("channels, shape", [("mono", (120, 160)), ("colour", (120, 160, 3))])
@@ -177,22 +158,16 @@ def test_footage_that_cannot_be_played_is_refused_with_the_reason(tmp_path, name
         source_of(tmp_path / name).connect()
 
 
-def test_start_needs_a_connection_and_close_ends_the_thread_of_a_decoder_that_waits(video):
-    source = source_of(video)
-    with pytest.raises(InputError, match="not connected"):
+def test_close_ends_the_thread_of_a_decoder_that_waits(video):
+    with source_of(video) as source:
         source.start()
-    source.connect()
-    source.start()
-    frames_of(source, 1)
-    source.close()
+        frames_of(source, 1)
     assert not [t for t in threading.enumerate() if t.name == "footage decoder"]
 
 
-def test_single_still_is_read_as_footage_of_one_frame(tmp_path, images):
-    cv2.imwrite(str(tmp_path / "one.png"), images[0])
-    reader = open_footage(tmp_path / "one.png")
-    assert reader.probe() == (120, 160, 3)
-    assert np.array_equal(reader.read(), images[0]) and reader.read() is None
+def test_epoch_far_ahead_is_refused(video):
+    with pytest.raises(InputError, match=r"epoch_ns = .* ahead of the system clock"):
+        source_of(video, epoch_ns=EPOCH_NS * 1000).connect()
 
 
 @pytest.mark.parametrize("first_black", [False, True])

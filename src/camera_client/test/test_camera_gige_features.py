@@ -5,8 +5,8 @@ import math
 import pytest
 
 from camera_client.frame_source import SourceUnavailable
-from camera_client.gige.features import ALIASES, DeviceRefusal, Features, Kind, spellings
-from camera_client.gige.triggers import await_ptp, ptp_status
+from camera_client.gige.features import DeviceRefusal, Features, Kind
+from camera_client.gige.triggers import TIMER_LEAD_NS, await_ptp, synchronise
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 
@@ -123,20 +123,6 @@ def test_impossible_value_is_refused_before_it_is_sent(device, features, name, v
     assert device.log == []
 
 
-@pytest.mark.parametrize(
-    "name, value, allowed",
-    [
-        ("ExposureTime", 5.0, r"ExposureTimeAbs = 5.0 .*Allowed: 20 to 1e\+06"),
-        ("Width", 2000, "Allowed: 16 to 1280 in steps of 16"),
-        ("PixelFormat", "RGB8", "Allowed: Mono8, Mono12"),
-    ],
-)
-def test_value_that_the_device_refuses_is_named_with_those_that_it_takes(device, features, name, value, allowed):
-    device.locked |= set(device.features)
-    with pytest.raises(InputError, match=f"refuses .*{allowed}"):
-        features.set(name, value, "k")
-
-
 def test_feature_that_can_only_be_written_is_believed(device, features):
     def refuse(name):
         raise DeviceRefusal("write only")
@@ -178,11 +164,18 @@ def test_switch_finds_the_camera_s_word_for_on(kind, choices, written):
     assert device.log == [("PtpEnable", written)]
 
 
-def test_every_alias_belongs_to_one_family():
-    names = [name for family in ALIASES for name in family]
-    assert len(names) == len(set(names))
-    assert spellings("GevIEEE1588") == ("GevIEEE1588", "PtpEnable")
-    assert spellings("Unheard") == ("Unheard",)
+def test_camera_with_a_free_run_timer_begins_at_a_multiple_of_the_period_of_the_ptp_clock():
+    words = ("TriggerRateAbs", "StartTimeLow", "StartTimeHigh")
+    timer = {f"SyncFreeRunTimer{word}": feature(Kind.INTEGER, 0) for word in words}
+    device = Device(
+        SyncFreeRunTimerEnable=feature(Kind.BOOLEAN, False), SyncFreeRunTimerUpdate=feature(Kind.COMMAND), **timer
+    )
+    now_ns = 1_800_000_000_003_000_000
+    synchronise(Features(device, "X"), AravisSettings(sync="ptp", frame_rate=50.0), lambda: now_ns)
+    (rate, low, high), (update, enable) = device.log[:3], device.log[3:]
+    start_ns = high[1] << 32 | low[1]
+    assert rate[1] == 50 and start_ns % 20_000_000 == 0 and 0 < start_ns - now_ns - TIMER_LEAD_NS <= 20_000_000
+    assert (update, enable) == ("SyncFreeRunTimerUpdate", ("SyncFreeRunTimerEnable", True))
 
 
 class PtpDevice(Device):
@@ -201,14 +194,6 @@ class PtpDevice(Device):
             self.after -= 1
             return "Slave" if self.after < 0 else "Listening"
         return super().read(name)
-
-
-def test_ptp_is_awaited_until_it_is_in_step():
-    slept = []
-    device = PtpDevice(after=4)
-    assert ptp_status(Features(device, "X")) is None
-    await_ptp(Features(device, "X"), AravisSettings(), lambda: sum(slept), slept.append)
-    assert len(slept) == 4 and device.log.count("GevIEEE1588DataSetLatch") == 6
 
 
 def test_ptp_that_never_comes_is_given_up_and_a_camera_without_it_refused():

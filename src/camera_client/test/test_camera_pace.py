@@ -4,15 +4,7 @@ import itertools
 
 import pytest
 
-from camera_client.sources.footage_pace import (
-    LEAD_NS,
-    AcknowledgedPace,
-    FootageClock,
-    SharedClock,
-    WallClockPace,
-    choose_epoch_ns,
-)
-from capture_rig.errors import InputError
+from camera_client.sources.footage_source import AcknowledgedPace, FootageClock, SharedClock, WallClockPace
 from capture_rig.session import footage_stamp_ns
 
 EPOCH_NS = 1_800_000_000_000_000_000
@@ -81,17 +73,6 @@ def test_as_many_frames_as_the_window_leave_and_one_more_with_each_acknowledgeme
     assert pace.timeouts == 0
 
 
-def test_acknowledgement_of_an_older_frame_changes_nothing():
-    pace, _ = acknowledged(window=1)
-    pace.wait(0, 0.0)
-    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 0, 50.0))
-    pace.wait(1, 0.0)
-    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 0, 50.0) - 1)
-    assert not pace.wait(2, 0.0)
-    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 1, 50.0))
-    assert pace.wait(2, 0.0)
-
-
 def test_silent_consumer_is_outrun_after_the_timeout_which_frames_and_acknowledgements_begin_anew():
     pace, clock = acknowledged(window=1, patience_s=2.0)
     pace.wait(0, 0.0)
@@ -114,14 +95,6 @@ def test_acknowledgements_of_an_earlier_playing_do_not_count():
     assert [pace.wait(k, 0.0) for k in range(3)] == [True, True, False]
 
 
-def test_epoch_is_a_second_from_now_or_as_given_even_from_the_past_and_not_far_ahead():
-    assert choose_epoch_ns(0, EPOCH_NS + 1) == EPOCH_NS + 1 + LEAD_NS
-    assert choose_epoch_ns(1_000_000_000, EPOCH_NS) == 1_000_000_000
-    assert choose_epoch_ns(EPOCH_NS + LEAD_NS, EPOCH_NS) == EPOCH_NS + LEAD_NS
-    with pytest.raises(InputError, match=r"epoch_ns = .* ahead of the system clock"):
-        choose_epoch_ns(EPOCH_NS * 1000, EPOCH_NS)
-
-
 @pytest.mark.parametrize("rate", [0.25, 0.5, 1.0, 2.0, 8.0])
 def test_stamps_run_at_the_rate_of_playing_from_the_epoch_on(rate):
     """One relation for every frame: stamp = epoch + rate * (time of leaving - epoch)."""
@@ -134,15 +107,6 @@ def test_stamps_run_at_the_rate_of_playing_from_the_epoch_on(rate):
         assert since_epoch_ns == pytest.approx(rate * (clock.now_ns() - EPOCH_NS), abs=1000)
 
 
-def test_late_start_leaves_out_what_has_passed_and_is_in_step():
-    clock = Clock(EPOCH_NS + 30_000 * MS)
-    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(CLOCK, 0)
-    missed = next(frame for frame in range(3000) if not pace.has_missed(frame))
-    assert missed == 1500 - 12  # a quarter of a second is caught up with
-    assert departures_ms(pace, clock, 14, first=missed)[-2:] == pytest.approx([30_000, 30_020], abs=1e-3)
-
-
 FIRST, SECOND, THIRD = (FootageClock(EPOCH_NS + k * MS, EPOCH_NS + k * MS) for k in range(3))
 
 
@@ -153,10 +117,3 @@ def test_cameras_come_to_the_clock_that_begins_first_whatever_they_hear_first(or
     held = [shared.offer(clock) for clock in order]
     assert held[-1] == FIRST and announced[-1] == FIRST
     assert announced == sorted(set(announced), reverse=True)  # what no longer holds is announced no more
-
-
-def test_forgotten_clock_holds_no_longer():
-    shared = SharedClock()
-    shared.offer(FIRST)
-    shared.forget()
-    assert shared.offer(THIRD) == THIRD

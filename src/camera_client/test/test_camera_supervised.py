@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camera_client.frame_source import ConnectionState, Frame, FrameSource, SourceUnavailable
-from camera_client.settings import SupervisionSettings
-from camera_client.sources.supervised_source import SupervisedSource
+from camera_client.sources.supervised_source import RETRY_S, SupervisedSource
 from capture_rig.errors import InputError
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
@@ -36,9 +35,10 @@ class World:
     def wait(self, seconds):
         self.now_s += seconds
 
-    def supervised(self, **options):
-        options.setdefault("settings", SupervisionSettings())
-        return SupervisedSource(self.make, clock=lambda: self.now_s, pause=self.wait, **options)
+    def supervised(self, accept=lambda source: None, stall_timeout_s=0.5):
+        return SupervisedSource(
+            self.make, accept, lambda source: stall_timeout_s, clock=lambda: self.now_s, pause=self.wait
+        )
 
 
 class FakeSource(FrameSource):
@@ -134,7 +134,7 @@ def test_camera_that_is_there_streams_from_the_first_read(world):
         assert source.details == {"camera_serial": "F1"}
 
 
-def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(world):
+def test_camera_that_is_off_is_tried_again_every_second(world):
     world.fault = OFF
     source = world.supervised()
     source.connect()
@@ -142,14 +142,12 @@ def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(w
     assert source.shape == ()
     source.start()
     tries = []
-    for _ in range(200):
+    for _ in range(50):
         before = len(world.made)
         source.read(0.2)
         if len(world.made) > before:
             tries.append(world.now_s)
-    pauses = np.diff(tries)
-    assert pauses[:4] == pytest.approx([0.5, 1.0, 2.0, 2.0])  # the first pause, 0.25 s, followed connect()
-    assert pauses.max() == pytest.approx(2.0)
+    assert np.diff(tries) == pytest.approx(RETRY_S) and len(tries) > 5
     world.fault = None
     frames_of(source, 1)
     assert source.connection.state is ConnectionState.STREAMING and source.shape == (2, 3)
@@ -167,7 +165,7 @@ def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world, str
     frames_of(streaming, 1)
     link = streaming.connection
     assert link.last_outage_s == pytest.approx(world.now_s - last_s)
-    assert world.now_s - back_s <= 2.0 + STEP_S  # at most the longest pause
+    assert world.now_s - back_s <= RETRY_S + STEP_S
     assert streaming.counters["reconnects"] == 1
     assert link.downtime_s == pytest.approx(link.last_outage_s) and link.down_s == 0.0
 
@@ -200,7 +198,7 @@ def test_process_that_did_not_get_to_run_does_not_blame_the_camera(world, stream
 
 
 def test_stall_limit_is_that_of_the_connected_source(world):
-    with world.supervised(stall_timeout_s=lambda source: float("inf")) as source:
+    with world.supervised(stall_timeout_s=float("inf")) as source:
         source.start()
         frames_of(source, 1)
         world.silent = True
@@ -234,24 +232,13 @@ def test_settings_that_the_camera_or_the_node_refuses_fail_connect_or_start(worl
         frames_of(source, 1)
 
 
-def test_refusal_at_a_reconnection_is_shown_and_retried_at_the_slowest_pace(world, streaming):
+def test_refusal_at_a_reconnection_is_shown_and_retried(world, streaming):
     world.fault = WRONG
     until(streaming, lambda s, _: s.connection.refused)
-    assert "Mono12" in streaming.connection.reason and streaming.connection.next_try_s == pytest.approx(2.0)
+    assert "Mono12" in streaming.connection.reason and streaming.connection.next_try_s == pytest.approx(RETRY_S)
     world.fault = None
     frames_of(streaming, 1)
     assert streaming.connection.reason == "" and not streaming.connection.refused
-
-
-def test_camera_that_connects_but_never_delivers_is_not_stormed(world):
-    world.silent = True
-    with world.supervised() as source:
-        source.start()
-        for _ in range(200):
-            source.read(0.2)
-        assert len(world.made) < world.now_s / 2.4 + 4  # half a second of silence, then the longest pause
-        world.silent = False
-        frames_of(source, 1)
 
 
 def test_camera_that_connects_but_does_not_start_is_tried_again(world):
@@ -311,9 +298,6 @@ def test_suspension_is_no_downtime_and_keeps_the_connection(world, streaming):
     streaming.start()
     frames_of(streaming, 3)
     assert len(world.made) == 1 and streaming.connection.downtime_s == 0.0
-    with pytest.raises(InputError, match="not started"):
-        streaming.stop()
-        streaming.read(0.0)
 
 
 @settings(deadline=None, max_examples=25)
@@ -356,15 +340,3 @@ def test_connection_that_a_stopped_source_does_not_use_is_closed_again(world, ma
         world.made[0].connected.wait(PATIENCE_S)
     source.close()
     assert world.made[0].calls == ["connect", "close", "closed"]
-
-
-def test_attempt_that_fails_after_the_source_was_stopped_leaves_nothing_to_close(world):
-    world.answering.clear()
-    world.fault = WRONG
-    source = world.supervised()
-    source.start()
-    source.read(0.01)
-    source.stop()
-    world.answering.set()
-    source.close()
-    assert world.made[0].calls == ["connect"] and source.connection.state is ConnectionState.CLOSED

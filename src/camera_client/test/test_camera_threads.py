@@ -1,12 +1,10 @@
 """Frames that are under way together, on two threads, give what one thread gives, byte for byte."""
 
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from camera_pictures import iou, learned
-from node_probe import SUCCESS
 
 from camera_client.frame_processor import FrameProcessor
 from camera_client.frame_source import Frame
@@ -87,25 +85,3 @@ def test_threads_change_no_byte_of_silhouettes_condition_and_background(colour, 
         )
     assert told[0] == told[1] == told[2]
     assert len(set(told[0][:FRAMES])) == FRAMES
-
-
-@pytest.mark.parametrize("threads, names", [(1, {"grab"}), (2, {"segment"})])
-def test_live_silhouettes_are_made_on_as_many_threads_as_are_given(bench, gige_camera, threads, names):
-    simulated, seen = gige_camera(), []
-    settings = {"camera_name": "cam01", "source": "aravis", "aravis.address": simulated.address, "threads": threads}
-    camera = bench(**settings)
-    assert camera.node.trigger_configure() == SUCCESS
-    finish = camera.node.processor.finish
-
-    def watched(begun):
-        seen.append((threading.current_thread().name, begun.stamp_ns))
-        return finish(begun)
-
-    camera.node.processor.finish = watched
-    assert camera.node.trigger_activate() == SUCCESS
-    loop = camera.node.loop
-    camera.until(lambda: len(seen) >= 20)
-    assert camera.node.trigger_deactivate() == SUCCESS
-    assert {name for name, _ in seen} == names
-    assert [stamp for _, stamp in seen] == sorted({stamp for _, stamp in seen})
-    assert len(seen) == loop.frames  # none is left behind

@@ -131,7 +131,7 @@ PACKET_ID_MASK = 0x00FFFFFF
 
 _WORD, _PAIR = struct.Struct(">I"), struct.Struct(">II")
 _RESEND, _READ_MEMORY = struct.Struct(">HHII"), struct.Struct(">IHH")
-_ACTION, _SCHEDULED_ACTION = struct.Struct(">III"), struct.Struct(">IIIQ")
+_SCHEDULED_ACTION = struct.Struct(">IIIQ")
 
 
 def encode_words(values: Iterable[int]) -> bytes:
@@ -180,28 +180,21 @@ def decode_resend(payload: bytes) -> tuple[int, int, int]:
 
 @dataclass(frozen=True)
 class Action:
-    """ACTION: every device whose keys fit and whose mask meets this one acts, at once or at ``time_ns``.
-
-    time_ns: when to act, in the devices' common (PTP) time; None: at once.
-    """
+    """A scheduled ACTION: every device whose keys fit and whose mask meets this one acts at ``time_ns`` of PTP."""
 
     device_key: int
     group_key: int
     group_mask: int
-    time_ns: int | None = None
+    time_ns: int
 
     def command(self, request_id: int = 1) -> CommandPacket:
-        keys = self.device_key, self.group_key, self.group_mask
-        if self.time_ns is None:
-            return CommandPacket(Command.ACTION, _ACTION.pack(*keys), request_id)
-        payload = _SCHEDULED_ACTION.pack(*keys, self.time_ns)
+        payload = _SCHEDULED_ACTION.pack(self.device_key, self.group_key, self.group_mask, self.time_ns)
         return CommandPacket(Command.ACTION, payload, request_id, ACKNOWLEDGE | SCHEDULED)
 
     @classmethod
     def decode(cls, packet: CommandPacket) -> Action:
         """Decode a packet. Raises MalformedPacket."""
-        layout = _SCHEDULED_ACTION if packet.flags & SCHEDULED else _ACTION
-        return cls(*_unpack(layout, packet.payload, "ACTION"))
+        return cls(*_unpack(_SCHEDULED_ACTION, packet.payload, "scheduled ACTION"))
 
 
 # --- the answer to DISCOVERY: the first 0xF8 bytes of a device's bootstrap registers
@@ -209,44 +202,23 @@ class Action:
 _TEXTS = {
     "manufacturer": (bootstrap.MANUFACTURER_NAME, 32),
     "model": (bootstrap.MODEL_NAME, 32),
-    "device_version": (bootstrap.DEVICE_VERSION, 32),
-    "manufacturer_info": (bootstrap.MANUFACTURER_INFO, 48),
     "serial": (bootstrap.SERIAL_NUMBER, 16),
     "user_id": (bootstrap.USER_NAME, 16),
 }
-_ADDRESSES = {
-    "address": bootstrap.CURRENT_IP,
-    "subnet_mask": bootstrap.CURRENT_SUBNET,
-    "gateway": bootstrap.CURRENT_GATEWAY,
-}
+_ADDRESSES = {"address": bootstrap.CURRENT_IP, "subnet_mask": bootstrap.CURRENT_SUBNET}
 
 
 @dataclass(frozen=True)
 class DeviceRecord:
-    """Identity of a device. Texts are UTF-8, cut to the room the standard gives (serial and user id: 16 bytes)."""
+    """Identity of a device."""
 
     address: str
     manufacturer: str = ""
     model: str = ""
-    device_version: str = ""
-    manufacturer_info: str = ""
     serial: str = ""
     user_id: str = ""
     mac: bytes = bytes(6)
     subnet_mask: str = "255.0.0.0"
-    gateway: str = "0.0.0.0"
-
-    def encode(self) -> bytes:
-        """Return the 0xF8 bytes of the acknowledge."""
-        record = bytearray(bootstrap.DISCOVERY_SIZE)
-        struct.pack_into(">II", record, bootstrap.VERSION, bootstrap.VERSION_2_0, bootstrap.BIG_ENDIAN_UTF8)
-        record[bootstrap.MAC_HIGH + 2 : bootstrap.MAC_HIGH + 8] = self.mac
-        struct.pack_into(">II", record, bootstrap.IP_CAPABILITIES, 0x7, 0x1)  # persistent, DHCP, link-local; persistent
-        for name, offset in _ADDRESSES.items():
-            record[offset : offset + 4] = ipaddress.IPv4Address(getattr(self, name)).packed
-        for name, (offset, size) in _TEXTS.items():
-            record[offset : offset + size] = encode_text(getattr(self, name), size)
-        return bytes(record)
 
     @classmethod
     def decode(cls, record: bytes) -> DeviceRecord:

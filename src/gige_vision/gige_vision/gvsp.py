@@ -17,8 +17,8 @@ LAST_BLOCK_ID = 0xFFFF
 
 _HEADER = struct.Struct(">HHI")
 _LEADER = struct.Struct(">HHQIIIIIHH")
-_TRAILER, _CHUNK_TRAILER = struct.Struct(">HHI"), struct.Struct(">HHIII")
-_CHUNK_TAIL = struct.Struct(">II")
+_TRAILER = struct.Struct(">HHI")
+IMAGE = 0x0001  # what a block holds
 
 
 class Content(IntEnum):
@@ -27,13 +27,6 @@ class Content(IntEnum):
     LEADER = 1
     TRAILER = 2
     PAYLOAD = 3
-
-
-class Payload(IntEnum):
-    """What a block holds."""
-
-    IMAGE = 0x0001
-    IMAGE_WITH_CHUNKS = 0x4001
 
 
 def payload_capacity(packet_size: int) -> int:
@@ -51,77 +44,43 @@ def packet_header(content: Content, block_id: int, packet_id: int, status: int =
     return _HEADER.pack(status, block_id, content << 24 | packet_id)
 
 
-def image_leader(
-    timestamp: int, pixel_format: int, size_px: tuple[int, int], offset_px: tuple[int, int], payload: Payload
-) -> bytes:
+def image_leader(timestamp: int, pixel_format: int, size_px: tuple[int, int], offset_px: tuple[int, int]) -> bytes:
     """Return the leader's body: when the image was taken (ticks of the device's clock) and what it is.
 
     size_px, offset_px : across and down; rows are not padded.
     """
-    return _LEADER.pack(0, payload, timestamp, pixel_format, *size_px, *offset_px, 0, 0)
+    return _LEADER.pack(0, IMAGE, timestamp, pixel_format, *size_px, *offset_px, 0, 0)
 
 
-def image_trailer(height: int, chunk_bytes: int | None = None) -> bytes:
-    """Return the trailer's body: the rows that were really sent, and how many bytes image and chunks have together."""
-    if chunk_bytes is None:
-        return _TRAILER.pack(0, Payload.IMAGE, height)
-    return _CHUNK_TRAILER.pack(0, Payload.IMAGE_WITH_CHUNKS, chunk_bytes, height, 0)
-
-
-def encode_chunk(chunk_id: int, data: bytes) -> bytes:
-    """Return a chunk: its data, and behind it its id and length."""
-    return data + _CHUNK_TAIL.pack(chunk_id, len(data))
+def image_trailer(height: int) -> bytes:
+    """Return the trailer's body: the rows that were really sent."""
+    return _TRAILER.pack(0, IMAGE, height)
 
 
 # --- Pixel formats: their names and codes (EMVA Pixel Format Naming Convention), how many bytes an image has.
 #
-# Bits 16 to 23 of a code are the bits that a pixel occupies. The ``p`` formats are one long number, the first pixel in
-# its lowest bits. The ``Packed`` formats are those of GigE Vision: two pixels in three bytes, the first byte the upper
-# eight bits of the first pixel, the third those of the second, the one between the lower bits of both (the first
-# pixel's in its lower half).
+# Bits 16 to 23 of a code are the bits that a pixel occupies.
 
 
 class PixelFormat(IntEnum):
-    """Codes by their standard names."""
+    """Codes by their standard names, in the order in which clients prefer them."""
 
-    Mono8 = 0x01080001
-    Mono10 = 0x01100003
-    Mono10p = 0x010A0046
-    Mono10Packed = 0x010C0004
-    Mono12 = 0x01100005
-    Mono12p = 0x010C0047
-    Mono12Packed = 0x010C0006
-    BayerGR8 = 0x01080008
     BayerRG8 = 0x01080009
+    BayerGR8 = 0x01080008
     BayerGB8 = 0x0108000A
     BayerBG8 = 0x0108000B
-    RGB8 = 0x02180014
-    BGR8 = 0x02180015
-    YUV422_8_UYVY = 0x0210001F
     YUV422_8 = 0x02100032
-
-    @property
-    def bits_per_pixel(self) -> int:
-        """Bits that a pixel occupies on the wire."""
-        return self >> 16 & 0xFF
-
-    @property
-    def depth(self) -> int:
-        """Bits of a grey level or colour channel."""
-        return 10 if self.name.startswith("Mono10") else 12 if self.name.startswith("Mono12") else 8
+    YUV422_8_UYVY = 0x0210001F
+    BGR8 = 0x02180015
+    RGB8 = 0x02180014
+    Mono8 = 0x01080001
+    Mono10 = 0x01100003
+    Mono12 = 0x01100005
 
     @property
     def is_colour(self) -> bool:
         return not self.name.startswith("Mono")
 
-    @property
-    def is_bayer(self) -> bool:
-        return self.name.startswith("Bayer")
-
-    @property
-    def is_packed(self) -> bool:
-        return self.name.endswith("Packed")
-
     def image_bytes(self, width: int, height: int) -> int:
-        """Bytes of an image of so many pixels; a last odd pixel of a packed format takes two bytes."""
-        return -(-self.bits_per_pixel * width * height // 8)
+        """Bytes of an image of so many pixels."""
+        return (self >> 16 & 0xFF) * width * height // 8

@@ -30,7 +30,7 @@ from sagoma_tools.doctor.cameras import (
 )
 from sagoma_tools.doctor.findings import Severity, ok
 from sagoma_tools.doctor.machine import Interface
-from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_address
 from virtual_studio.rig import ring
 
 WIDTH, HEIGHT = 640, 480
@@ -39,7 +39,7 @@ WIDTH, HEIGHT = 640, 480
 @pytest.fixture(scope="module")
 def camera():
     try:
-        address = free_addresses(1)[0]
+        address = free_address()
     except InputError as problem:
         pytest.skip(str(problem))
     with SimulatedCamera(address, PatternScene(WIDTH, HEIGHT), CameraSettings(serial="D1", user_id="left")) as camera:

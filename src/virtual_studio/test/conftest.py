@@ -4,6 +4,6 @@ import pytest
 @pytest.fixture
 def address():
     """A loopback address at which no camera is."""
-    from virtual_studio.gige import free_addresses
+    from virtual_studio.gige import free_address
 
-    return free_addresses(1)[0]
+    return free_address()

@@ -1,23 +1,20 @@
 """A simulated camera's control channel, spoken to in bare GVCP; its registers and their GenICam description."""
 
+import socket
 import struct
 import xml.etree.ElementTree as ElementTree
-from collections import Counter
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gige_client import CONTROL_PRIVILEGE, GvcpClient, eventually
+from gige_client import CONTROL_PRIVILEGE, PATIENCE_S, GvcpClient, eventually
 
 from capture_rig.errors import InputError
-from gige_vision import bootstrap
+from gige_vision import bootstrap, gvsp
 from gige_vision import gvcp as gvcp_payloads
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
-from virtual_studio.gige.device import OLD, SFNC, Device, Faults
 from virtual_studio.gige.feature_table import feature_table
-from virtual_studio.gige.gvcp_server import ControlPrivilege
-from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers, genicam_xml
+from virtual_studio.gige.registers import FILE_SPACE, RegisterError, Registers, genicam_xml
 
 
 def table():
@@ -37,7 +34,7 @@ def client(camera):
 
 
 def address_of(camera, key):
-    return next(f.address for f in camera.features if f.key == key and f.has_register)
+    return next(f.address for f in camera.features if f.name == key)
 
 
 def test_nobody_writes_without_control(camera, client):
@@ -54,38 +51,6 @@ def test_heartbeat_that_stops_frees_the_camera_and_ends_its_stream(camera, clien
     eventually(lambda: camera.status()["controller"] == "")  # asks the camera's program, not the camera
     assert camera.counters["heartbeats_lost"] == 1
     assert client.read(bootstrap.STREAM_PORT) == 0
-
-
-class Timer:
-    """A callback that a test runs when it likes."""
-
-    def __init__(self, when_ns, run):
-        self.when_ns, self.run = when_ns, run
-
-    def cancel(self):
-        self.run = lambda: None
-
-
-def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
-    now, timers = SimpleNamespace(ns=0), []
-    clock = SimpleNamespace(monotonic_ns=lambda: now.ns)
-    monkeypatch.setattr("virtual_studio.gige.gvcp_server.time", clock)
-    loop = SimpleNamespace(call_later=lambda delay_ns, run: timers.append(Timer(now.ns + delay_ns, run)) or timers[-1])
-    registers, released, peer = Registers(table()), [], ("127.0.0.1", 5000)
-    device = Device("127.0.0.9", CameraSettings(), registers, Faults(), Counter(), loop)
-    privilege = ControlPrivilege(device, lambda: released.append(now.ns))
-    privilege.request(peer, 2)
-    for ms in (1000, 2500, 4000):
-        now.ns = ms * 1_000_000
-        privilege.heartbeat_from(peer)
-    privilege.heartbeat_from(("127.0.0.1", 6000))  # a stranger's command is none
-    for expected_ms in (3000, 7000):  # the timer looks, finds a fresh heartbeat, and looks again when that is old
-        timer = timers[-1]
-        assert timer.when_ns == expected_ms * 1_000_000 and not released
-        now.ns = max(now.ns, timer.when_ns)
-        timer.run()
-    assert released == [7000 * 1_000_000]
-    assert privilege.owner is None
 
 
 def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
@@ -131,12 +96,25 @@ def arm_action(camera, client):
 
 def test_action_for_others_is_not_answered(camera, client):
     arm_action(camera, client)
-    for stranger in (Action(9, 2, 6), Action(1, 9, 6), Action(1, 2, 8)):
+    for stranger in (Action(9, 2, 6, 0), Action(1, 9, 6, 0), Action(1, 2, 8, 0)):
         client.send_packet(stranger.command())
     assert client.is_silent()
-    client.send_packet(Action(1, 2, 2).command(request_id=77))
+    client.send_packet(Action(1, 2, 2, 0).command(request_id=77))
     answer = client.receive()
-    assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, 0, 77)
+    assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, Status.NO_REFERENCE_TIME, 77)
+
+
+def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable(camera, client):
+    client.take_control()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(PATIENCE_S)
+        client.write(bootstrap.STREAM_DESTINATION, 0x7F000001)
+        client.write(bootstrap.STREAM_PORT, receiver.getsockname()[1])
+        client.send(Command.PACKET_RESEND, struct.pack(">HHII", 0, 7, 2, 3), flags=0)
+        told = [struct.unpack(">HHI", receiver.recv(2048)) for _ in range(2)]
+    payload = gvsp.Content.PAYLOAD << 24
+    assert told == [(Status.PACKET_UNAVAILABLE, 7, payload | packet_id) for packet_id in (2, 3)]
 
 
 # --- registers and their description ----------------------------------------------------------------------------------
@@ -144,8 +122,8 @@ def test_action_for_others_is_not_answered(camera, client):
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
 
 
-def features_of(generation=SFNC, colour=True):
-    return feature_table(CameraSettings(generation=generation), "127.0.0.9", 640, 480, colour)
+def features_of(colour=True):
+    return feature_table(CameraSettings(), "127.0.0.9", 640, 480, colour)
 
 
 def registers():
@@ -158,19 +136,17 @@ def status_of(action):
     return refused.value.status
 
 
-@pytest.mark.parametrize("generation", [SFNC, OLD])
-def test_description_refers_to_what_it_describes_and_to_readable_registers(generation):
-    features = features_of(generation)
-    root, memory = ElementTree.fromstring(genicam_xml(features, "V", "M")), Registers(features)
+def test_description_refers_to_what_it_describes_and_to_readable_registers():
+    features = features_of()
+    root, memory = ElementTree.fromstring(genicam_xml(features)), Registers(features)
     nodes = {node.get("Name") for node in root.iter() if node.get("Name") and node.tag != NAMESPACE + "EnumEntry"}
-    tags = ("pFeature", "pValue", "pMin", "pMax", "pPort", "pSelected")
+    tags = ("pFeature", "pValue", "pMax", "pPort")
     references = [node.text for tag in tags for node in root.iter(NAMESPACE + tag)]
-    assert len(references) > 140 and set(references) <= nodes
+    assert len(references) > 120 and set(references) <= nodes
     registers = [
         node for tag in ("IntReg", "FloatReg", "MaskedIntReg", "StringReg") for node in root.iter(NAMESPACE + tag)
     ]
-    registers = [node for node in registers if node.findtext(NAMESPACE + "pPort") == "Device"]
-    assert len(registers) > 60
+    assert len(registers) > 50
     for node in registers:
         address, length = int(node.findtext(NAMESPACE + "Address"), 16), int(node.findtext(NAMESPACE + "Length"))
         assert len(memory.read(address, length)) == length, node.get("Name")
@@ -178,7 +154,7 @@ def test_description_refers_to_what_it_describes_and_to_readable_registers(gener
 
 def test_accesses_are_refused_with_the_status_that_says_why():
     memory = registers()
-    at = {f.key: f.address for f in features_of() if f.has_register}
+    at = {f.name: f.address for f in features_of()}
     assert status_of(lambda: memory.read(0x9000, 4)) == Status.INVALID_ADDRESS
     assert status_of(lambda: memory.read(at["Width"] + 1, 4)) == Status.BAD_ALIGNMENT
     assert status_of(lambda: memory.read(at["Width"], 3)) == Status.BAD_ALIGNMENT
@@ -192,16 +168,7 @@ def test_accesses_are_refused_with_the_status_that_says_why():
     assert memory.integer("Width") == 640
 
 
-def test_refused_write_of_several_registers_changes_none_of_them():
+def test_several_registers_in_a_row_are_written_at_once():
     memory = registers()
-    words = struct.pack(">IIII", 50_000, 9000, 7, 0)  # port, packet size, packet delay, and then no register
-    assert status_of(lambda: memory.write(bootstrap.STREAM_PORT, words)) == Status.INVALID_ADDRESS
-    assert memory.integer("GevSCPHostPort") == 0
-    memory.write(bootstrap.STREAM_PORT, words[:12])
+    memory.write(bootstrap.STREAM_PORT, struct.pack(">III", 50_000, 9000, 7))
     assert [memory.integer(key) for key in ("GevSCPHostPort", "PacketSizeWord", "GevSCPD")] == [50_000, 9000, 7]
-
-
-@pytest.mark.parametrize("colour", [False, True])
-def test_colour_formats_are_offered_by_a_colour_camera_alone(colour):
-    formats = next(f for f in features_of(colour=colour) if f.key == "PixelFormat")
-    assert formats.kind is Kind.ENUMERATION and ("BayerRG8" in dict(formats.entries)) is colour

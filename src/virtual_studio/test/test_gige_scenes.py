@@ -14,9 +14,9 @@ from capture_rig.rig import save_rig
 from capture_rig.session import load_session
 from stick_figure.body import Body
 from virtual_studio.boards import PosedBoard, on_floor, print_of
-from virtual_studio.gige import Studio, StudioSettings, free_addresses
+from virtual_studio.gige import Studio, StudioSettings, free_address
 from virtual_studio.gige.__main__ import request_from, write_rig_files
-from virtual_studio.gige.rendered_scenes import PHASES, RenderedSet, RoomScene, SetupScene
+from virtual_studio.gige.rendered_scenes import PHASES, RoomScene, SetupScene
 from virtual_studio.gige.scenes import PatternScene, load_session_scene
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.people import VolumetricBody
@@ -38,11 +38,6 @@ def test_pattern_tells_its_number_and_instant_even_when_dimmed(colour):
         assert picture.shape == scene.shape
         assert PatternScene.read(picture) == (expected, NOW_NS + expected)
         assert PatternScene.read((picture * 0.6).astype(np.uint8)) == (expected, NOW_NS + expected)
-
-
-def test_pattern_too_small_for_its_numbers_is_refused():
-    with pytest.raises(InputError, match=r"64 x 48.*at least 128 x 12"):
-        PatternScene(64, 48)
 
 
 @pytest.fixture
@@ -71,11 +66,9 @@ def test_session_s_cameras_see_the_same_frame_at_one_instant_in_grey_and_in_colo
 def test_empty_room_is_seen_while_nobody_is_there(session):
     scene = load_session_scene(session)
     assert scene.can_be_empty
-    scene.playback.occupy(False)
-    later = time.time_ns() + SECOND_NS
-    assert scene.views["cam01"].image(later).max() == 7
-    scene.playback.occupy(True)
-    assert scene.views["cam01"].image(time.time_ns() + SECOND_NS).max() >= 20
+    for occupied, least, most in ((False, 7, 7), (True, 20, 255)):
+        scene.playback.occupied = occupied
+        assert least <= scene.views["cam01"].image(NOW_NS).max() <= most
     (session.folder / "cam02_background.png").unlink()
     assert not load_session_scene(load_session(session.folder)).can_be_empty
 
@@ -113,20 +106,22 @@ def test_room_shows_the_body_with_its_shadow_through_each_camera_s_lens(room):
 
 
 def test_empty_room_has_nobody_in_it(room):
-    room.playback.occupy(False)
-    later = time.time_ns() + SECOND_NS
-    np.testing.assert_array_equal(room.views["cam01"].image(later), room.empty("cam01"))
+    room.playback.occupied = False
+    np.testing.assert_array_equal(room.views["cam01"].image(time.time_ns()), room.empty("cam01"))
 
 
-def test_renderer_follows_the_cameras_and_says_how_many_pictures_were_fresh(room):
+def test_renderer_follows_the_cameras_which_see_one_moment_at_one_instant(room):
+    seen = []
+
     def look():
         instant = time.time_ns()
-        return [room.views["cam01"].image(instant) for _ in range(2)]
+        one, other = (room.views["cam01"].image(instant) for _ in range(2))
+        assert one is other
+        if not any(one is earlier for earlier in seen):
+            seen.append(one)
+        return len(seen) >= 4
 
-    assert room.counters["sets_rendered"] == 0  # nobody looked yet
-    eventually(lambda: look() and room.counters["views_fresh"] >= 3)
-    assert 3 <= room.counters["views_fresh"] <= room.counters["sets_rendered"] + 1
-    assert room.counters["views_repeated"] >= room.counters["views_fresh"] - 1  # everyone looked twice at once
+    eventually(look)
 
 
 # --- a set-up served live ---------------------------------------------------------------------------------------------
@@ -160,14 +155,6 @@ def test_each_camera_is_shown_a_board_of_its_own_in_the_phase_of_intrinsics(scen
         assert sum(cv2.findChessboardCornersSB(look[name], size)[0] for look in looks) >= 2
 
 
-def test_phase_begins_for_all_cameras_at_the_same_instant(scene):
-    scene.show("floor")
-    scene.playback.occupy(True)
-    scene.show("person")
-    before, after = time.time_ns() - SECOND_NS, time.time_ns() + SECOND_NS
-    assert (scene.render(before)["cam01"] != scene.render(after)["cam01"]).any()
-
-
 def test_phases_follow_each_other_and_begin_again(scene):
     scene.show("empty")
     assert [scene.show("next") for _ in PHASES] == [*PHASES[1:], "empty"]
@@ -176,18 +163,9 @@ def test_phases_follow_each_other_and_begin_again(scene):
         scene.show("lunch")
 
 
-def test_cameras_that_look_at_one_instant_see_the_same_moment():
-    scene = RoomScene(ring(1, ceiling=False), "t_pose_only", 0.1)
-    scene._sets.append(RenderedSet(100, {}))
-    assert scene.newest(200).instant_ns == 100
-    scene._sets.append(RenderedSet(150, {}))  # it was rendered too late for the first camera that looked
-    assert scene.newest(200).instant_ns == 100
-    assert scene.newest(300).instant_ns == 150
-
-
 @pytest.fixture(scope="module")
 def studio():
-    address = free_addresses(1)[0]
+    address = free_address()
     with Studio(StudioSettings(scene="setup", cameras=1, address=address)) as studio:
         yield studio
 
@@ -213,7 +191,7 @@ def test_files_of_a_setup_tell_nobody_the_calibration(studio, tmp_path):
 
 def test_studio_without_a_setup_has_no_phases():
     with (
-        Studio(StudioSettings(pattern=True, cameras=1, address=free_addresses(1)[0])) as studio,
+        Studio(StudioSettings(pattern=True, cameras=1, address=free_address())) as studio,
         pytest.raises(InputError, match="--scene setup"),
     ):
         studio.handle({"do": "show", "phase": "floor"})

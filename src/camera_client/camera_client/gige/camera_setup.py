@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from capture_rig.errors import InputError
+from gige_vision.gvsp import PixelFormat
 
-from ..settings import PIXEL_FORMATS, AravisSettings
+from ..settings import AravisSettings
 from .features import FLOAT_TOLERANCE, Features
 from .pixel_formats import can_be_halved, choose_format, find_format, image_shape, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
-CHUNKS = ("Timestamp", "ExposureTime")
+TRIGGERED = ("line", "action", "software")  # modes of sync in which the camera has no rate of its own
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class CameraSetup:
     """How the camera takes pictures now.
 
     pixel_format : its standard name. exposure_us, frame_rate : None where the camera does not report it, or waits for
-    triggers. chunks : names of the chunks that each frame carries. halved : images are made at half of the size.
+    triggers. halved : images are made at half of the size.
     """
 
     pixel_format: str
@@ -28,7 +29,6 @@ class CameraSetup:
     height: int
     exposure_us: float | None
     frame_rate: float | None
-    chunks: tuple[str, ...]
     halved: bool
 
     @property
@@ -42,22 +42,20 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str, h
     features.apply(settings.features, "aravis.features")
     features.ensure("AcquisitionMode", "Continuous", "aravis.sync")
     switch_triggers_off(features)
+    features.switch_off("ChunkModeActive", "aravis.features")
     for name in AUTO_FUNCTIONS:
         features.ensure(name, "Off", "aravis.features")
     pixel_format = standard_name(_set_format(features, settings, channels))
     _set_region(features, settings)
     _set_exposure(features, settings)
     _set_rate(features, settings)
-    chunks = _set_chunks(features, settings.chunks)
-    triggered = settings.sync in ("line", "action", "software")
     width, height = _integer(features, "Width"), _integer(features, "Height")
     return CameraSetup(
         pixel_format,
         width,
         height,
         features.number("ExposureTime"),
-        None if triggered else features.number("AcquisitionFrameRate"),
-        chunks,
+        None if settings.sync in TRIGGERED else features.number("AcquisitionFrameRate"),
         halve_mosaics and can_be_halved(pixel_format, width, height),
     )
 
@@ -70,7 +68,7 @@ def _set_format(features: Features, settings: AravisSettings, channels: str) -> 
         raise InputError(
             f"does not offer pixel format {wanted!r} but {', '.join(available)}",
             where=features.where,
-            remedy=f"aravis.pixel_format can be {', '.join(PIXEL_FORMATS)}.",
+            remedy=f"aravis.pixel_format can be {', '.join(PixelFormat.__members__)}.",
         )
     features.set("PixelFormat", chosen, "aravis.pixel_format")
     return chosen
@@ -107,15 +105,13 @@ def _set_exposure(features: Features, settings: AravisSettings) -> None:
 
 def _set_rate(features: Features, settings: AravisSettings) -> None:
     """Set the camera's own rate; where triggers give it, the camera's limit is switched off."""
-    switch = features.find("AcquisitionFrameRateEnable")
-    if settings.sync in ("line", "action", "software"):
-        if switch is not None:
-            features.switch(switch, False, "aravis.sync")
+    if settings.sync in TRIGGERED:
+        features.switch_off("AcquisitionFrameRateEnable", "aravis.sync")
         return
     if settings.frame_rate < 0:
         return
-    if switch is not None:
-        features.switch(switch, True, "aravis.frame_rate")
+    if features.find("AcquisitionFrameRateEnable") is not None:
+        features.switch("AcquisitionFrameRateEnable", True, "aravis.frame_rate")
     features.set("AcquisitionFrameRate", settings.frame_rate, "aravis.frame_rate")
     reached = features.number("ResultingFrameRate")
     if reached is not None and reached < (1 - FLOAT_TOLERANCE) * settings.frame_rate:
@@ -123,25 +119,6 @@ def _set_rate(features: Features, settings: AravisSettings) -> None:
             f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
             "region smaller, or raise the packet size"
         )
-
-
-def _set_chunks(features: Features, wanted: bool) -> tuple[str, ...]:
-    """Return the names of the chunks that are on now."""
-    if features.find("ChunkModeActive") is None:
-        features.warn(f"{features.where} has no chunks: time and exposure come from elsewhere" if wanted else "")
-        return ()
-    if wanted or features.read("ChunkModeActive"):
-        features.switch("ChunkModeActive", wanted, "aravis.chunks")
-    if not wanted:
-        return ()
-    offered = features.access.choices(features.require("ChunkSelector", "aravis.chunks"))
-    for name in CHUNKS:
-        if name not in offered:
-            features.warn(f"{features.where} has no chunk {name}")
-            continue
-        features.set("ChunkSelector", name, "aravis.chunks")
-        features.switch("ChunkEnable", True, "aravis.chunks")
-    return tuple(name for name in CHUNKS if name in offered)
 
 
 def _largest(features: Features, size: str) -> int:

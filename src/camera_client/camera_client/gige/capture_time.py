@@ -2,9 +2,8 @@
 
 A camera's own clock is mapped onto the host's, free of the jitter of the network and of our scheduling. Every frame
 gives one bound: it cannot have arrived before it was taken, so arrival - camera time is the clocks' offset plus a
-delay. The frames least delayed form the lower envelope of these differences; its slope is the drift between the clocks
-(the line below all points that lies closest to them, an edge of their convex hull: Moon, Skelly and Towsley,
-"Estimation and removal of clock skew from network delay measurements", INFOCOM 1999).
+delay. The frame of the last four seconds that was least delayed gives the offset: in that time two quartz clocks drift
+apart by 0.2 ms (50 ppm) at most.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
 
@@ -24,18 +22,15 @@ from ..settings import AravisSettings
 from .features import AravisFeatures, DeviceRefusal
 
 MS, SECOND = 1_000_000, 1_000_000_000
-BUCKET_NS, BUCKETS = 250 * MS, 64  # the envelope: the least delayed frame of each quarter of a second, for 16 s
-# Thresholds: method from Moon, Skelly & Towsley 1999; values judgement.
-DRIFT_SPAN_NS = 4 * SECOND  # a drift is used once the envelope is this long
-USUAL_DRIFT, MOST_DRIFT = 50e-6, 200e-6  # between two quartz clocks
-JUMP_NS = 50 * MS  # delays vary by less, unless for a moment
+BUCKET_NS, BUCKETS = 250 * MS, 16  # the least delayed frame of each quarter of a second, for 4 s
 # Thresholds: judgement, no measurement.
+JUMP_NS = 50 * MS  # delays vary by less, unless for a moment
 PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is set wrong
 PTP_IN_STEP = ("Slave", "Master")
+MAPPED, PTP = "camera, mapped onto the host", "PTP"  # whose clock a stamp is from
 ARRIVAL_UNCERTAINTY_NS = 5 * MS  # readout, transfer and scheduling between the end of exposure and its first packet
 UNREAD_CLOCK_UNCERTAINTY_NS = 1 * MS  # readout and first packet, of a camera whose clock cannot be read
-UNSEEN_DELAY_NS = 200_000  # by which the smallest delay of a link may change as the computers' load does
-SETTLING_NS = 8 * SECOND  # so long the smallest delay of a link is estimated; then it is kept
+UNSEEN_DELAY_NS = 200_000  # by which the smallest delay may change with the computers' load, or a drift not seen yet
 MIDDLE = {"exposure_start": 0.5, "exposure_middle": 0.0, "exposure_end": -0.5}
 """Share of the exposure from the instant that the camera stamps to its middle."""
 
@@ -52,89 +47,48 @@ class CameraClock:
 
     def _begin(self) -> None:
         """Forget everything."""
-        self._closed: deque[tuple[int, int]] = deque(maxlen=BUCKETS)  # (camera, offset) of the least delayed frames
-        self._open: tuple[int, int] | None = None
-        self._open_until_ns = 0
-        self._drift, self._base_ns, self._origin_ns = 0.0, 0, 0  # offset = base + drift * (camera - origin)
-        self.knows_drift = False
-        self.spread_ns = 0.0  # how far the envelope's points typically lie above it: what we are not sure of
-        self._last_camera_ns: int | None = None
+        self._least: deque[tuple[int, int]] = deque(maxlen=BUCKETS)  # camera time that begins a bucket, least offset
+        self._first_ns = self._last_ns = 0  # frames' camera times
 
     def to_host_ns(self, camera_ns: int, arrival_ns: int) -> int:
         """Host time of a camera time, for a frame that arrived at ``arrival_ns``: as if it was delayed the least.
 
         The result lies after the true instant by the smallest delay there is (exposure, readout, transfer).
         """
-        if self._has_jumped(camera_ns, arrival_ns - camera_ns):
+        offset_ns = arrival_ns - camera_ns
+        if self._has_jumped(camera_ns, offset_ns):
             self.jumps += 1
             self._begin()
-        self._add(camera_ns, arrival_ns - camera_ns)
-        self._last_camera_ns = camera_ns
-        return camera_ns + round(self.offset_ns(camera_ns))
+        if not self._least:
+            self._first_ns = camera_ns
+        if not self._least or camera_ns - self._least[-1][0] >= BUCKET_NS:
+            self._least.append((camera_ns, offset_ns))
+        else:
+            begun_ns, least_ns = self._least[-1]
+            self._least[-1] = begun_ns, min(least_ns, offset_ns)
+        self._last_ns = camera_ns
+        return camera_ns + self.offset_ns
 
-    def offset_ns(self, camera_ns: int) -> float:
-        """Host minus camera time (smallest delay included) when the camera's clock shows ``camera_ns``."""
-        return self._base_ns + self._drift * (camera_ns - self._origin_ns)
+    @property
+    def offset_ns(self) -> int:
+        """Host minus camera time, smallest delay included."""
+        return min(offset_ns for _, offset_ns in self._least)
+
+    @property
+    def spread_ns(self) -> float:
+        """How far the least delayed frames typically lie above the map: what delays and drift leave unsure."""
+        return median(offset_ns for _, offset_ns in self._least) - self.offset_ns
 
     @property
     def span_ns(self) -> int:
-        """Camera time that the envelope covers."""
-        return (self._last_camera_ns or 0) - self._closed[0][0] if self._closed else 0
+        """Camera time since the map began."""
+        return self._last_ns - self._first_ns
 
     def _has_jumped(self, camera_ns: int, offset_ns: int) -> bool:
-        if self._last_camera_ns is None:
+        if not self._least:
             return False
-        if camera_ns <= self._last_camera_ns:  # it went back
-            return True
-        settled = bool(self._closed) and camera_ns - self._closed[0][0] > SECOND
-        early_ns = self.offset_ns(camera_ns) - offset_ns
-        return early_ns > (JUMP_NS if settled else SECOND)  # it would have come before it was taken: set forward
-
-    def _add(self, camera_ns: int, offset_ns: int) -> None:
-        if self._open is not None and camera_ns >= self._open_until_ns:
-            self._closed.append(self._open)
-            self._open = None
-            self._fit()
-        if self._open is None:
-            self._open, self._open_until_ns = (camera_ns, offset_ns), camera_ns + BUCKET_NS
-        elif offset_ns - self._drift * (camera_ns - self._open[0]) < self._open[1]:
-            self._open = (camera_ns, offset_ns)
-        first = not self._closed and self._last_camera_ns is None
-        if first or offset_ns < self.offset_ns(camera_ns):
-            self._base_ns += round(offset_ns - self.offset_ns(camera_ns))  # the envelope lies below every frame
-
-    def _fit(self) -> None:
-        """The line below all points that is closest to them; level as long as their scatter hides a usual drift."""
-        points = list(self._closed)
-        span_ns = points[-1][0] - points[0][0]
-        self._fit_line(points, _skew(points) if span_ns >= DRIFT_SPAN_NS else 0.0)
-        self.knows_drift = span_ns >= DRIFT_SPAN_NS and self.spread_ns <= USUAL_DRIFT * span_ns
-        if not self.knows_drift:
-            self._fit_line(points, 0.0)
-
-    def _fit_line(self, points: list[tuple[int, int]], drift: float) -> None:
-        """The highest line of this slope that lies below all points."""
-        self._drift, self._origin_ns = drift, points[-1][0]
-        self._base_ns = round(min(offset - drift * (camera - self._origin_ns) for camera, offset in points))
-        self.spread_ns = median(offset - self.offset_ns(camera) for camera, offset in points)
-
-
-def _skew(points: list[tuple[int, int]]) -> float:
-    """Slope of the edge of the lower convex hull above the middle of ``points`` (sorted by their first coordinate)."""
-    hull: list[tuple[int, int]] = []
-    for point in points:
-        while len(hull) > 1 and _orientation(hull[-2], hull[-1], point) <= 0:
-            hull.pop()
-        hull.append(point)
-    middle = sum(camera for camera, _ in points) / len(points)
-    left, right = next((pair for pair in pairwise(hull) if pair[1][0] >= middle), (hull[0], hull[-1]))
-    slope = (right[1] - left[1]) / (right[0] - left[0])
-    return min(max(slope, -MOST_DRIFT), MOST_DRIFT)
-
-
-def _orientation(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
-    """Positive when a, b, c turn left."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        early_ns = self.offset_ns - offset_ns  # it would have come before it was taken: set forward
+        return camera_ns <= self._last_ns or early_ns > (JUMP_NS if self.span_ns > SECOND else SECOND)
 
 
 # --- reading a camera's clock over the network
@@ -218,20 +172,29 @@ class ArrivalTime:
 
 
 class CameraTime:
-    """The camera's own clock, mapped onto the host's by the least delayed frames.
+    """The camera's own clock, mapped onto the host's by the least delayed frames; or as it is, where PTP keeps it.
 
     reading : of the camera's clock at the start: it gives the smallest delay of a frame, which is then taken out. None:
         the delay is taken for the rest of the exposure, and the stamp is uncertain by a millisecond more.
+    ptp_ahead_ns : by how much a PTP clock is ahead of UTC (TAI, or 0 where the grandmaster gives UTC); None: no PTP. A
+        frame whose PTP time cannot be right, after it arrived or long before, is stamped by the map.
+    ptp_uncertainty_ns : how well the camera's clock was found to agree with the system's at the start.
 
-    Uncertain by that of the reading and by how unsteady the smallest delay is (twice the median height of the
-    envelope's points, and 0.2 ms for changes that no frame shows); in the first seconds by the drift that is not known
-    yet instead, and in the first second after the camera's clock was set by what a frame may be late.
+    The map is uncertain by what the reading is and by how unsteady the smallest delay is (twice the spread of the least
+    delayed frames, and 0.2 ms for changes that no frame shows); in the first second after the camera's clock was set
+    also by what a frame may be late.
     """
 
-    name = "camera, mapped onto the host"
-
-    def __init__(self, reading: ClockReading | None, camera_stamps: str) -> None:
-        self._reading, self._camera_stamps = reading, camera_stamps
+    def __init__(
+        self,
+        reading: ClockReading | None,
+        camera_stamps: str,
+        ptp_ahead_ns: int | None = None,
+        ptp_uncertainty_ns: int = 0,
+    ) -> None:
+        self._reading, self._to_middle = reading, MIDDLE[camera_stamps]
+        self._ptp_ahead_ns, self._ptp_uncertainty_ns = ptp_ahead_ns, ptp_uncertainty_ns
+        self.name = MAPPED if ptp_ahead_ns is None else PTP
         self._clock = CameraClock()
         self._delay_ns: int | None = None
 
@@ -241,55 +204,28 @@ class CameraTime:
 
     def stamp(self, times: FrameTimes) -> Stamp:
         host_ns = self._clock.to_host_ns(times.camera_ns, times.arrival_ns)
-        to_middle_ns = round(MIDDLE[self._camera_stamps] * times.exposure_ns)
-        delay_ns = self._smallest_delay(times)
+        to_middle_ns = round(self._to_middle * times.exposure_ns)
+        mapped_ns = host_ns - self._smallest_delay(times) + to_middle_ns
+        if self._ptp_ahead_ns is not None:
+            taken_ns = times.camera_ns - self._ptp_ahead_ns + to_middle_ns
+            if abs(taken_ns - mapped_ns) <= PTP_TOLERANCE_NS:
+                return Stamp(taken_ns, self._ptp_uncertainty_ns, PTP)
         unsure_ns = UNREAD_CLOCK_UNCERTAINTY_NS if self._reading is None else self._reading.uncertainty_ns
+        unsure_ns += UNSEEN_DELAY_NS + round(2 * self._clock.spread_ns)
         if self._clock.jumps and self._clock.span_ns < SECOND:
             unsure_ns += ARRIVAL_UNCERTAINTY_NS
-        if self._clock.knows_drift:
-            unsure_ns += UNSEEN_DELAY_NS
-        else:
-            unsure_ns += round(USUAL_DRIFT * self._clock.span_ns)
-        unsure_ns += round(2 * self._clock.spread_ns)
-        return Stamp(host_ns - delay_ns + to_middle_ns, unsure_ns, self.name)
+        return Stamp(mapped_ns, unsure_ns, MAPPED)
 
     def _smallest_delay(self, times: FrameTimes) -> int:
         """From the instant that the camera stamps to the arrival of the least delayed frame."""
         if self._reading is None:
-            return round((0.5 + MIDDLE[self._camera_stamps]) * times.exposure_ns)
-        if self._delay_ns is None or (self._clock.jumps == 0 and self._clock.span_ns < SETTLING_NS):
-            at_reading_ns = self._clock.offset_ns(self._reading.camera_ns)
-            self._delay_ns = max(round(at_reading_ns - self._reading.offset_ns), 0)
+            return round((0.5 + self._to_middle) * times.exposure_ns)
+        if self._delay_ns is None or (self._clock.jumps == 0 and self._clock.span_ns < BUCKETS * BUCKET_NS):
+            self._delay_ns = max(self._clock.offset_ns - self._reading.offset_ns, 0)
         return self._delay_ns
 
 
-class PtpTime:
-    """A camera's clock that PTP keeps: TAI (or UTC, where the grandmaster says so), no mapping needed.
-
-    tai_utc_offset_s : seconds by which the clock is ahead of UTC.
-    uncertainty_ns : how well the camera's clock was found to agree with the system's at the start.
-    fallback : stamps the frames whose PTP time cannot be right: after they arrived, or long before. ``jumps`` counts
-        how often that began.
-    """
-
-    name = "PTP"
-
-    def __init__(self, tai_utc_offset_s: int, camera_stamps: str, uncertainty_ns: int, fallback: CameraTime) -> None:
-        self._ahead_ns, self._camera_stamps = tai_utc_offset_s * SECOND, camera_stamps
-        self._uncertainty_ns, self._fallback = uncertainty_ns, fallback
-        self._in_step = True
-        self.jumps = 0
-
-    def stamp(self, times: FrameTimes) -> Stamp:
-        mapped = self._fallback.stamp(times)
-        taken_ns = times.camera_ns - self._ahead_ns + round(MIDDLE[self._camera_stamps] * times.exposure_ns)
-        in_step = abs(taken_ns - mapped.ns) <= PTP_TOLERANCE_NS
-        self.jumps += self._in_step and not in_step
-        self._in_step = in_step
-        return Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
-
-
-TimeSource = ArrivalTime | CameraTime | PtpTime
+TimeSource = ArrivalTime | CameraTime
 """Stamps the frames of one run, in the order of their arrival (see :func:`after_last`): ``stamp(times)``.
 
 ``name``: whose clock the stamps are from, for diagnostics; ``jumps``: how often it was found to have been set.
@@ -324,7 +260,7 @@ def choose_time_source(
         away_ns = -reading.offset_ns - offset_s * SECOND
         unsure_ns = max(abs(away_ns), reading.uncertainty_ns)
         if unsure_ns <= PTP_TOLERANCE_NS + reading.uncertainty_ns:
-            return PtpTime(offset_s, settings.camera_stamps, unsure_ns, mapped), ""
+            return CameraTime(reading, settings.camera_stamps, offset_s * SECOND, unsure_ns), ""
         objection = (
             f"its clock is {offset_s + away_ns / SECOND:.3f} s ahead of this host's UTC, not {offset_s} s as "
             "aravis.tai_utc_offset_s says (37: the grandmaster gives TAI, 0: UTC); set that right, or this host's "

@@ -6,7 +6,6 @@ Aravis's own discovery broadcasts on every interface of the machine, the office 
 from __future__ import annotations
 
 import ipaddress
-import os
 import socket
 import time
 from collections.abc import Iterator
@@ -52,7 +51,7 @@ def described(wanted: AravisSettings) -> str:
 def find_camera(wanted: AravisSettings) -> FoundCamera:
     """Return the one camera that is ``wanted``.
 
-    With an address, the discovery command goes to this address alone. Without, it is broadcast on the interfaces named,
+    With an address, the discovery command goes to this address alone. Without, it is broadcast on the interface named,
     and only there. Raises SourceUnavailable when it does not answer, InputError when the choice is unclear, another
     camera answers at the address, or the camera cannot be reached from its subnet.
     """
@@ -72,9 +71,8 @@ def find_camera(wanted: AravisSettings) -> FoundCamera:
             where="aravis.address",
             remedy="Give aravis.address, aravis.serial or aravis.user_id.",
         )
-    chosen = select_interfaces(wanted.interface)
-    answers = [(link, device) for link in chosen for device in discover_on(link)]
-    return _single_match(answers, wanted, chosen)
+    link = select_interface(wanted.interface)
+    return FoundCamera(_single_match(discover_on(link), wanted, link), link.host)
 
 
 def discover_at(address: str) -> FoundCamera:
@@ -121,53 +119,36 @@ def discover_on(link: Interface, listen_s: float = LISTEN_S) -> tuple[DeviceReco
     return tuple(sorted(found.values(), key=lambda device: (device.serial, device.address)))
 
 
-def select_interfaces(names: str) -> tuple[Interface, ...]:
-    """Return the interfaces with these names or own addresses (separated by commas). Raises InputError with a list."""
+def select_interface(name: str) -> Interface:
+    """Return the interface with this name or own address. Raises InputError with a list."""
     present = interfaces()
+    for link in present:
+        if name in (link.name, link.host):
+            return link
+    what = f"there is no interface {name!r} with an IPv4 address" if name else "a search needs an interface"
     listed = ", ".join(map(str, present)) or "none"
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
-    if not wanted:
-        raise InputError(
-            "a search by serial or user id needs an interface to search on",
-            where="aravis.interface",
-            remedy=f"Name one or more of: {listed}. Or give aravis.address.",
-        )
-    chosen = []
-    for name in wanted:
-        fitting = [link for link in present if name in (link.name, link.host)]
-        if not fitting:
-            raise InputError(
-                f"there is no interface {name!r} with an IPv4 address",
-                where="aravis.interface",
-                remedy=f"This machine has: {listed}.",
-            )
-        chosen.append(fitting[0])
-    return tuple(dict.fromkeys(chosen))
+    remedy = f"Name one of: {listed}. Or give aravis.address."
+    raise InputError(what, where="aravis.interface", remedy=remedy)
 
 
-def _single_match(
-    answers: list[tuple[Interface, DeviceRecord]], wanted: AravisSettings, searched: tuple[Interface, ...]
-) -> FoundCamera:
-    fitting = [(link, device) for link, device in answers if _fits(device, wanted)]
-    on, who = ", ".join(map(str, searched)), described(wanted)
+def _single_match(answers: tuple[DeviceRecord, ...], wanted: AravisSettings, link: Interface) -> DeviceRecord:
+    fitting, who = [device for device in answers if _fits(device, wanted)], described(wanted)
     if not fitting:
-        others = ", ".join(_named(device) for _, device in answers) or "no camera"
+        others = ", ".join(map(_named, answers)) or "no camera"
         remedy = "Check power and cable, and the serial number or user id."
-        raise SourceUnavailable(f"does not answer on {on}; {others} did", where=who, remedy=remedy)
-    link, device = fitting[0]
-    if any(other.mac != device.mac for _, other in fitting):
-        several = ", ".join(_named(device) for _, device in fitting)
-        what = f"is not one camera but {len(fitting)} on {on}: {several}"
+        raise SourceUnavailable(f"does not answer on {link}; {others} did", where=who, remedy=remedy)
+    if len(fitting) > 1:
+        what = f"is not one camera but {len(fitting)} on {link}: {', '.join(map(_named, fitting))}"
         raise InputError(what, where=who, remedy="Choose by aravis.serial or aravis.address.")
-    for other, _ in fitting:
-        if ipaddress.IPv4Address(device.address) in other.address.network:
-            return FoundCamera(device, other.host)
-    raise InputError(
-        f"answers on {link}, but its own address {device.address}/{device.subnet_mask} is in another subnet",
-        where=who,
-        remedy=f"Give the camera a free address in {link.address.network} (its maker's IP tool, or DHCP), or this "
-        "interface one in the camera's subnet.",
-    )
+    [device] = fitting
+    if ipaddress.IPv4Address(device.address) not in link.address.network:
+        raise InputError(
+            f"answers on {link}, but its own address {device.address}/{device.subnet_mask} is in another subnet",
+            where=who,
+            remedy=f"Give the camera a free address in {link.address.network} (its maker's IP tool, or DHCP), or this "
+            "interface one in the camera's subnet.",
+        )
+    return device
 
 
 def _fits(device: DeviceRecord, wanted: AravisSettings) -> bool:
@@ -182,15 +163,11 @@ def _named(device: DeviceRecord) -> str:
 def _check_unicast(address: str) -> None:
     try:
         ip = ipaddress.IPv4Address(address)
-        if not (ip.is_multicast or ip.is_unspecified or ip.packed[3] == 255):
-            return
     except ValueError:
-        pass
-    raise InputError(
-        f"{address!r} is not the IPv4 address of one device",
-        where="aravis.address",
-        remedy="Give the camera's address, such as 192.168.1.10.",
-    )
+        ip = ipaddress.IPv4Address(0)
+    if ip.is_multicast or ip.is_unspecified or ip.packed[3] == 255:
+        remedy = "Give the camera's address, such as 192.168.1.10."
+        raise InputError(f"{address!r} is not the IPv4 address of one device", where="aravis.address", remedy=remedy)
 
 
 def _answers(sock: socket.socket, deadline_s: float) -> Iterator[DeviceRecord]:
@@ -207,7 +184,7 @@ def _answers(sock: socket.socket, deadline_s: float) -> Iterator[DeviceRecord]:
             continue
 
 
-# --- the host's side: network interfaces, and a receive buffer that is large enough to stream through
+# --- the host's network interfaces
 
 
 @dataclass(frozen=True)
@@ -232,31 +209,3 @@ def interfaces() -> tuple[Interface, ...]:
         for entry in [entry for entry in entries if entry.family == socket.AF_INET][:1]:
             found.append(Interface(name, ipaddress.IPv4Interface(f"{entry.address}/{entry.netmask or 32}")))
     return tuple(found)
-
-
-def enlarge_receive_buffer(port: int, wanted_bytes: int) -> str:
-    """Set SO_RCVBUF of this process's UDP socket bound to ``port``; returns a warning, "" when all is well.
-
-    Aravis sizes the socket only when the first packet has come, by which time most of the first frames are lost; its
-    socket is found among the process's own descriptors.
-    """
-    for name in os.listdir("/proc/self/fd"):
-        try:
-            if not os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
-                continue
-            candidate = socket.socket(fileno=os.dup(int(name)))
-        except OSError:  # closed meanwhile
-            continue
-        with candidate:
-            kind = candidate.family, candidate.type
-            if kind != (socket.AF_INET, socket.SOCK_DGRAM) or candidate.getsockname()[1] != port:
-                continue
-            candidate.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
-            granted = candidate.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice the payload
-            if granted >= wanted_bytes:
-                return ""
-            return (
-                f"the system grants a receive buffer of {granted} bytes instead of {wanted_bytes}, frames may be lost; "
-                f"run: sudo sysctl -w net.core.rmem_max={wanted_bytes}"
-            )
-    return f"the stream's socket on port {port} was not found; its receive buffer stays at the system's default"

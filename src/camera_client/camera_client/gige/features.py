@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from typing import Any
 
@@ -20,7 +20,6 @@ ERROR_DOMAIN = "arv-device-error-quark"
 FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
 ON, OFF = ("true", "1", "on", "yes"), ("false", "0", "off", "no")
 _SWITCH_WORDS = {True: ("On", "True", "Enable", "Enabled"), False: ("Off", "False", "Disable", "Disabled")}
-MOST_NAMES = 24  # of an enumeration, in an error
 
 
 class DeviceRefusal(Exception):
@@ -65,22 +64,17 @@ class AravisFeatures:
         if name not in self._kinds:
             node = self._device.get_feature(name)
             self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
-        if self._kinds[name] is None:
-            return None
-        with device_errors(self._Aravis, self._GLib):
-            return self._kinds[name] if self._device.is_feature_available(name) else None
+        available = self._kinds[name] is not None and self._ask("is_feature_available", name)
+        return self._kinds[name] if available else None
 
     def read(self, name: str) -> Value:
-        with device_errors(self._Aravis, self._GLib):
-            return self._method("get_{}_feature_value", name)(name)
+        return self._ask(f"get_{self._type_of(name)}_feature_value", name)
 
     def write(self, name: str, value: Value) -> None:
-        with device_errors(self._Aravis, self._GLib):
-            self._method("set_{}_feature_value", name)(name, value)
+        self._ask(f"set_{self._type_of(name)}_feature_value", name, value)
 
     def execute(self, name: str) -> None:
-        with device_errors(self._Aravis, self._GLib):
-            self._device.execute_command(name)
+        self._ask("execute_command", name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
         """Return smallest and largest value of a number; None where the device does not describe it."""
@@ -94,30 +88,32 @@ class AravisFeatures:
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
-        with device_errors(self._Aravis, self._GLib):
-            return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
+        return tuple(self._ask("dup_available_enumeration_feature_values_as_strings", name) or ())
 
     def read_register(self, address: int) -> int:
-        with device_errors(self._Aravis, self._GLib):
-            return self._device.read_register(address) & 0xFFFFFFFF
+        return self._ask("read_register", address) & 0xFFFFFFFF
 
     def write_register(self, address: int, value: int) -> None:
-        with device_errors(self._Aravis, self._GLib):
-            self._device.write_register(address, value)
+        self._ask("write_register", address, value)
 
-    def _method(self, method: str, name: str) -> Callable[..., Any]:
-        """Return the device's method for what a feature holds. Raises DeviceRefusal where it holds no value."""
+    def _ask(self, method: str, *arguments: Any) -> Any:
+        with device_errors(self._Aravis, self._GLib):
+            return getattr(self._device, method)(*arguments)
+
+    def _type_of(self, name: str) -> str:
+        """Return Aravis's word for what a feature holds. Raises DeviceRefusal where it holds no value."""
         kind = self.kind(name)
         if kind is None or kind is Kind.COMMAND:
             raise DeviceRefusal(f"{name} holds no value now")
-        return getattr(self._device, method.format("string" if kind is Kind.ENUMERATION else kind.value))
+        return "string" if kind is Kind.ENUMERATION else kind.value
 
     def _described(self, method: str, name: str) -> Any:
         """Return what the device's description says of a number; None where it does not, and of what is none."""
-        if self.kind(name) not in (Kind.INTEGER, Kind.FLOAT):
+        kind = self.kind(name)
+        if kind not in (Kind.INTEGER, Kind.FLOAT):
             return None
-        with contextlib.suppress(DeviceRefusal), device_errors(self._Aravis, self._GLib):
-            return self._method(method, name)(name)
+        with contextlib.suppress(DeviceRefusal):
+            return self._ask(method.format(kind.value), name)
         return None
 
 
@@ -197,7 +193,10 @@ class Features:
                 f"Write '{found}!' in {key} to run it.",
             )
         assert kind is not None
-        value = self._on_grid(found, self._parsed(found, kind, wanted, key))
+        try:
+            value = self._on_grid(found, _parsed(kind, wanted))
+        except ValueError:
+            raise self._error(f"{found} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
         try:
             self.access.write(found, value)
         except DeviceRefusal as refusal:
@@ -223,6 +222,11 @@ class Features:
             words = tuple(word for word in words if word in self.access.choices(found)) or words
         return self.set(found, words[0], key)
 
+    def switch_off(self, name: str, key: str) -> None:
+        """Switch a feature off that may be absent, unless it is off already."""
+        if self.read(name) not in (None, False, 0, "Off"):
+            self.switch(name, False, key)
+
     def run(self, name: str, key: str) -> None:
         """Run a command. Raises InputError when there is none, or it is refused."""
         found = self.require(name, key)
@@ -246,12 +250,6 @@ class Features:
 
     # --- values --------------------------------------------------------------------------------------------------
 
-    def _parsed(self, name: str, kind: Kind, wanted: Value, key: str) -> Value:
-        try:
-            return _parsed(kind, wanted)
-        except ValueError:
-            raise self._error(f"{name} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
-
     def _on_grid(self, name: str, value: Value) -> Value:
         """Return the value, of an integer in range on its grid; what is out of range is the device's to refuse."""
         if self.access.kind(name) is not Kind.INTEGER or isinstance(value, str):
@@ -270,8 +268,7 @@ class Features:
         """Return what the feature takes, as a sentence; empty where the device does not describe it."""
         try:
             if self.access.kind(name) is Kind.ENUMERATION:
-                names = self.access.choices(name)
-                return f"Allowed: {', '.join(names[:MOST_NAMES])}{', ...' if len(names) > MOST_NAMES else ''}. "
+                return f"Allowed: {', '.join(self.access.choices(name))}. "
             limits, step = self.access.limits(name), self.access.step(name)
         except DeviceRefusal:
             return ""
@@ -311,15 +308,8 @@ ALIASES: tuple[tuple[str, ...], ...] = (
     ("PtpEnable", "GevIEEE1588"),
     ("PtpStatus", "GevIEEE1588Status"),
     ("PtpDataSetLatch", "GevIEEE1588DataSetLatch"),
-    ("PtpOffsetFromMaster", "GevIEEE1588OffsetFromMaster"),
-    ("TimestampLatch", "GevTimestampControlLatch"),
-    ("TimestampLatchValue", "GevTimestampValue"),
-    ("TimestampReset", "GevTimestampControlReset"),
     ("SyncFreeRunTimerTriggerRateAbs", "SyncFreeRunTimerTriggerRate"),
-    ("DeviceSerialNumber", "DeviceID"),
     ("DeviceTemperature", "TemperatureAbs"),
-    ("ChunkExposureTime", "ChunkExposureTimeAbs"),
-    ("UserSetDefault", "UserSetDefaultSelector"),
 )
 _FAMILY = {name: family for family in ALIASES for name in family}
 

@@ -3,13 +3,10 @@
 Grey levels of 10 and 12 bits are cut to their upper 8: the background model, and everything after it, works on 8 bits.
 A Bayer mosaic is interpolated, or each tile of 2 x 2 pixels is one pixel of an image at half of the size, which invents
 nothing: silhouettes are better and cheaper so (test_camera_bayer.py).
-Source: EMVA Pixel Format Naming Convention 2.x; GigE Vision 1.x for the ``Packed`` formats.
+Source: EMVA Pixel Format Naming Convention 2.x.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,118 +17,16 @@ from gige_vision.gvsp import PixelFormat
 from ..frame_source import Image
 
 Bytes = np.ndarray  # (N,) uint8: a frame as it came
-Convert = Callable[[Bytes, int, int], Image]
 
-
-@dataclass(frozen=True)
-class Layout:
-    """How a frame of a format becomes an image, or, of a mosaic, one at half of the size."""
-
-    convert: Convert
-    halve: Convert | None = None
-
-
-def _upper_byte_of(bits: int) -> Convert:
-    """Two bytes a pixel, little endian, the grey level in the lower ``bits``."""
-
-    def convert(raw: Bytes, width: int, height: int) -> Image:
-        return (raw.view("<u2") >> (bits - 8)).astype(np.uint8).reshape(height, width)
-
-    return convert
-
-
-def _packed(raw: Bytes, width: int, height: int) -> Image:
-    """Mono10Packed, Mono12Packed: bytes 0 and 2 of three are the upper bits of two pixels, byte 1 the rest of both."""
-    image = np.empty(width * height, np.uint8)
-    image[0::2], image[1::2] = raw[0::3], raw[2::3]
-    return image.reshape(height, width)
-
-
-def _row_of_bits(bits: int, group: int) -> Convert:
-    """One long number, the first pixel in its lowest ``bits``; each ``group`` of pixels fills whole bytes."""
-    size = group * bits // 8
-
-    def convert(raw: Bytes, width: int, height: int) -> Image:
-        groups = -(-width * height // group)
-        lacking = groups * size - len(raw)
-        whole = np.pad(raw, (0, lacking)) if lacking else raw
-        image = np.empty(groups * group, np.uint8)
-        for pixel in range(group):
-            first = bits * (pixel + 1) - 8  # of its upper eight bits; they lie in two bytes at most
-            byte = (first - 1) // 8
-            words = np.ndarray(groups, "<u2", whole.data, byte, (size,))
-            np.right_shift(words, first - 8 * byte, out=image[pixel::group], dtype=words.dtype, casting="unsafe")
-        return image[: width * height].reshape(height, width)
-
-    return convert
-
-
-def _opencv(code: int | None, channels: int) -> Convert:
-    def convert(raw: Bytes, width: int, height: int) -> Image:
-        image = raw.reshape((height, width, channels) if channels > 1 else (height, width))
-        return image.copy() if code is None else cv2.cvtColor(image, code)
-
-    return convert
-
-
-def _yuv422(luma: int, blue: int, red: int) -> Convert:
-    """Two pixels in four bytes that share their chroma; 0 to 255 is the full range (BT.601 weights).
-
-    luma : index of the first pixel's luma in the four bytes, the second's is two further; blue, red : of Cb and Cr.
-    """
-
-    def convert(raw: Bytes, width: int, height: int) -> Image:
-        pairs = raw.reshape(height, width // 2, 4)
-        chroma = (cv2.resize(pairs[..., at], (width, height), interpolation=cv2.INTER_NEAREST) for at in (red, blue))
-        ycrcb = cv2.merge([raw[luma::2].reshape(height, width), *chroma])
-        return np.asarray(cv2.cvtColor(ycrcb, cv2.COLOR_YCrCb2BGR), np.uint8)
-
-    return convert
-
-
-def _bayer(code: int, red_row: int, red_column: int) -> Layout:
-    def halve(raw: Bytes, width: int, height: int) -> Image:
-        image = np.empty((height // 2, width // 2, 3), np.uint8)
-        halve_mosaic(raw.reshape(height, width), red_row, red_column, image)
-        return image
-
-    return Layout(_opencv(code, 1), halve)
-
-
-@kernel
-def halve_mosaic(mosaic, red_row, red_column, image):  # type: ignore[no-untyped-def]
-    """Write one pixel, BGR, for each tile of 2 x 2 pixels of a Bayer mosaic (2 h, 2 w) into ``image`` (h, w, 3).
-
-    red_row, red_column : of the red pixel in each tile; green is the mean of the two beside it, rounded.
-    """
-    for y in range(image.shape[0]):
-        to, with_red, with_blue = image[y], mosaic[2 * y + red_row], mosaic[2 * y + 1 - red_row]
-        for x in range(image.shape[1]):
-            red, blue = 2 * x + red_column, 2 * x + 1 - red_column
-            to[x, 0] = with_blue[blue]
-            to[x, 1] = (np.int32(with_red[blue]) + np.int32(with_blue[red]) + 1) >> 1
-            to[x, 2] = with_red[red]
-
-
-# in the order of preference, as settings.PIXEL_FORMATS;
-# OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is "BG"
-LAYOUTS: dict[str, Layout] = {
-    "BayerRG8": _bayer(cv2.COLOR_BayerBG2BGR, 0, 0),
-    "BayerGR8": _bayer(cv2.COLOR_BayerGB2BGR, 0, 1),
-    "BayerGB8": _bayer(cv2.COLOR_BayerGR2BGR, 1, 0),
-    "BayerBG8": _bayer(cv2.COLOR_BayerRG2BGR, 1, 1),
-    "YUV422_8": Layout(_yuv422(luma=0, blue=1, red=3)),
-    "YUV422_8_UYVY": Layout(_yuv422(luma=1, blue=0, red=2)),
-    "BGR8": Layout(_opencv(None, 3)),
-    "RGB8": Layout(_opencv(cv2.COLOR_RGB2BGR, 3)),
-    "Mono8": Layout(_opencv(None, 1)),
-    "Mono10p": Layout(_row_of_bits(10, 4)),
-    "Mono12p": Layout(_row_of_bits(12, 2)),
-    "Mono10Packed": Layout(_packed),
-    "Mono12Packed": Layout(_packed),
-    "Mono10": Layout(_upper_byte_of(10)),
-    "Mono12": Layout(_upper_byte_of(12)),
+# OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is "BG"; row and column of a tile's red
+BAYER = {
+    "BayerRG8": (cv2.COLOR_BayerBG2BGR, 0, 0),
+    "BayerGR8": (cv2.COLOR_BayerGB2BGR, 0, 1),
+    "BayerGB8": (cv2.COLOR_BayerGR2BGR, 1, 0),
+    "BayerBG8": (cv2.COLOR_BayerRG2BGR, 1, 1),
 }
+# two pixels in four bytes: where the first one's luma is (the second's is two further), Cb and Cr, which they share
+YUV = {"YUV422_8": (0, 1, 3), "YUV422_8_UYVY": (1, 0, 2)}
 _OLD_NAMES = {
     "BGR8Packed": "BGR8",
     "RGB8Packed": "RGB8",
@@ -152,7 +47,7 @@ def choose_format(available: list[str], channels: str) -> str | None:
     ``channels``: "mono", "colour", or "auto" for either (colour first). Fewer bytes a pixel come before more.
     """
     spelled = {standard_name(name): name for name in reversed(available)}
-    fits = (n for n in LAYOUTS if channels == "auto" or PixelFormat[n].is_colour == (channels == "colour"))
+    fits = (each.name for each in PixelFormat if channels == "auto" or each.is_colour == (channels == "colour"))
     return next((spelled[name] for name in fits if name in spelled), None)
 
 
@@ -163,7 +58,7 @@ def find_format(wanted: str, available: list[str]) -> str | None:
 
 def can_be_halved(name: str, width: int, height: int) -> bool:
     """Whether it is a mosaic of whole tiles."""
-    return LAYOUTS[standard_name(name)].halve is not None and width % 2 == height % 2 == 0
+    return standard_name(name) in BAYER and width % 2 == height % 2 == 0
 
 
 def image_shape(name: str, width: int, height: int, halved: bool = False) -> tuple[int, ...]:
@@ -178,9 +73,40 @@ def to_image(data: bytes | Bytes, name: str, width: int, height: int, halved: bo
 
     ``halved``: of a mosaic, (H / 2, W / 2, 3). Raises ValueError when the bytes are too few.
     """
-    size = PixelFormat[standard_name(name)].image_bytes(width, height)
+    name = standard_name(name)
+    size = PixelFormat[name].image_bytes(width, height)
     if len(data) < size:
         raise ValueError(f"{len(data)} bytes are too few for {width} x {height} {name}")
     raw = data[:size] if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8, size)
-    layout = LAYOUTS[standard_name(name)]
-    return (layout.halve if halved and layout.halve is not None else layout.convert)(raw, width, height)
+    if name in BAYER:
+        mosaic, (code, red_row, red_column) = raw.reshape(height, width), BAYER[name]
+        if not halved:
+            return cv2.cvtColor(mosaic, code)
+        image = np.empty((height // 2, width // 2, 3), np.uint8)
+        halve_mosaic(mosaic, red_row, red_column, image)
+        return image
+    if name in YUV:  # 0 to 255 is the full range (BT.601 weights)
+        pairs, (luma, blue, red) = raw.reshape(height, width // 2, 4), YUV[name]
+        chroma = (cv2.resize(pairs[..., at], (width, height), interpolation=cv2.INTER_NEAREST) for at in (red, blue))
+        return cv2.cvtColor(cv2.merge([raw[luma::2].reshape(height, width), *chroma]), cv2.COLOR_YCrCb2BGR)
+    if name == "RGB8":
+        return cv2.cvtColor(raw.reshape(height, width, 3), cv2.COLOR_RGB2BGR)
+    if name in ("BGR8", "Mono8"):
+        return raw.reshape(image_shape(name, width, height)).copy()
+    bits = int(name.removeprefix("Mono"))  # of two bytes, little endian, the lower ones
+    return (raw.view("<u2") >> (bits - 8)).astype(np.uint8).reshape(height, width)
+
+
+@kernel
+def halve_mosaic(mosaic, red_row, red_column, image):  # type: ignore[no-untyped-def]
+    """Write one pixel, BGR, for each tile of 2 x 2 pixels of a Bayer mosaic (2 h, 2 w) into ``image`` (h, w, 3).
+
+    red_row, red_column : of the red pixel in each tile; green is the mean of the two beside it, rounded.
+    """
+    for y in range(image.shape[0]):
+        to, with_red, with_blue = image[y], mosaic[2 * y + red_row], mosaic[2 * y + 1 - red_row]
+        for x in range(image.shape[1]):
+            red, blue = 2 * x + red_column, 2 * x + 1 - red_column
+            to[x, 0] = with_blue[blue]
+            to[x, 1] = (np.int32(with_red[blue]) + np.int32(with_blue[red]) + 1) >> 1
+            to[x, 2] = with_red[red]

@@ -7,6 +7,7 @@ this host's clock, as late as the network makes it.
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -36,9 +37,7 @@ def switch_triggers_off(features: Features) -> None:
         if selector:
             features.ensure(selector, name, "aravis.sync")
         features.ensure(mode, "Off", "aravis.sync")
-    timer = features.find("SyncFreeRunTimerEnable")
-    if timer is not None and features.read(timer) not in (False, 0, "Off"):
-        features.switch(timer, False, "aravis.sync")
+    features.switch_off("SyncFreeRunTimerEnable", "aravis.sync")
 
 
 def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:
@@ -104,8 +103,6 @@ def _trigger_by(features: Features, settings: AravisSettings, source: str) -> No
     if (selector := features.find("TriggerSelector")) is not None:
         features.set(selector, FRAME_TRIGGER, "aravis.sync")
     features.set("TriggerSource", source, "aravis.trigger_line" if settings.sync == "line" else "aravis.sync")
-    if settings.trigger_delay_us >= 0:
-        features.set("TriggerDelay", settings.trigger_delay_us, "aravis.trigger_delay_us")
     features.set("TriggerMode", "On", "aravis.sync")
 
 
@@ -228,7 +225,6 @@ class TriggerThread:
 # --- scheduled action commands to one camera: "expose at this time of your clock"; unicast, nothing is broadcast
 
 ACTION_COUNTERS = ("actions", "actions_late", "actions_refused", "actions_unanswered")
-MOST_PENDING = 64
 LAST_REQUEST_ID = 0xFFFF
 
 
@@ -236,7 +232,7 @@ class ActionSender:
     """Sends actions to the camera at ``address`` from ``host`` and takes in its acknowledges, without ever waiting.
 
     It adds to ``counts``: actions (acknowledged), actions_late (came after their time), actions_refused (anything else,
-    such as no room for another one or no PTP time), actions_unanswered (:data:`ACTION_COUNTERS`).
+    such as no room for another one or no PTP time), actions_unanswered, or not yet (:data:`ACTION_COUNTERS`).
     """
 
     def __init__(self, address: str, host: str, device_key: int, counts: dict[str, int]) -> None:
@@ -250,21 +246,14 @@ class ActionSender:
             raise
         self._socket.setblocking(False)
         self._request_id = 0
-        self._pending: dict[int, None] = {}  # request ids, in the order they were sent
 
     def send(self, time_ns: int) -> None:
         """Ask for one action at ``time_ns`` of the camera's clock."""
         self.collect()
         self._request_id = self._request_id % LAST_REQUEST_ID + 1
-        try:
+        self._counts["actions_unanswered"] += 1
+        with contextlib.suppress(OSError):  # the port is closed on the camera's side, or the network is down
             self._socket.send(Action(*self._keys, time_ns).command(self._request_id).encode())
-        except OSError:  # the port is closed on the camera's side, or the network is down
-            self._counts["actions_unanswered"] += 1
-            return
-        self._pending[self._request_id] = None
-        if len(self._pending) > MOST_PENDING:
-            del self._pending[next(iter(self._pending))]
-            self._counts["actions_unanswered"] += 1
 
     def collect(self) -> None:
         """Take in the acknowledges that have come."""
@@ -275,8 +264,8 @@ class ActionSender:
                 return
             except MalformedPacket:
                 continue
-            if answer.acknowledge == Command.ACTION.acknowledge and answer.request_id in self._pending:
-                del self._pending[answer.request_id]
+            if answer.acknowledge == Command.ACTION.acknowledge:
+                self._counts["actions_unanswered"] -= 1
                 self._counts[_RESULTS.get(answer.status, "actions_refused")] += 1
 
     def close(self) -> None:

@@ -8,7 +8,6 @@ device is constructed here from the two addresses of the link instead.
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 from collections.abc import Iterator
 from typing import Any
 
@@ -56,7 +55,7 @@ class AravisSource(FrameSource):
     so long, without holding the GIL, and are best called on a thread of their own then. A camera whose control was lost
     is not spoken to any more.
 
-    ``counters``: stamp_jumps, wrong_format, incomplete frames by cause, the stream's packets, triggers and actions.
+    ``counters``: stamp_jumps, wrong_format, the stream's packets, triggers and actions.
     """
 
     def __init__(self, settings: AravisSettings, channels: str = "auto", halve_mosaics: bool = False) -> None:
@@ -77,9 +76,8 @@ class AravisSource(FrameSource):
         self._lost = False
         self._last_stamp_ns = 0
         self._details: dict[str, str] = {}
-        # all names at once, so that the dictionary can be read on other threads
         own = {"software": TRIGGER_COUNTERS, "action": (*ACTION_COUNTERS, "triggers_missed")}.get(settings.sync, ())
-        self.counters.update(dict.fromkeys((*AravisStream.COUNTERS, "stamp_jumps", *own), 0))
+        self._counters |= dict.fromkeys((*AravisStream.COUNTERS, "stamp_jumps", *own), 0)
 
     # --- the source's contract -----------------------------------------------------------------------------------
 
@@ -100,10 +98,9 @@ class AravisSource(FrameSource):
         self.warnings = (*features.warnings, *self._stream.warnings)
 
     def start(self) -> None:
-        if self._stream is None or self._features is None:
-            raise self._error("is not connected", "Call connect() first.")
         if self._streaming:
             return
+        assert self._stream is not None and self._features is not None
         with self._device_errors("when it was started"):
             reading = read_clock(self._features.access, self._clock.now_ns)
             self._time, self._last_stamp_ns = self._time_source(self._features, reading), 0
@@ -113,18 +110,15 @@ class AravisSource(FrameSource):
         self._start_triggers(reading)
 
     def read(self, timeout_s: float) -> Frame | None:
-        stream, time_source = self._stream, self._time
-        if not self._streaming or stream is None or time_source is None:
-            raise self._error("is not started", "Call start() first.")
-        grabbed = stream.grab(timeout_s)
-        self._update_counters(stream)
+        assert self._stream is not None and self._time is not None
+        grabbed = self._stream.grab(timeout_s)
         if grabbed is None:
             return None
-        times = grabbed.times._replace(arrival_ns=self._clock.at_utc(grabbed.times.arrival_ns))
-        stamp = time_source.stamp(times)
-        self.counters["stamp_jumps"] = time_source.jumps
+        image, frame_id, times = grabbed
+        stamp = self._time.stamp(times._replace(arrival_ns=self._clock.at_utc(times.arrival_ns)))
+        self._counters["stamp_jumps"] = self._time.jumps
         self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
-        return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
+        return Frame(image, self._last_stamp_ns, frame_id, stamp.clock, stamp.uncertainty_ns)
 
     def stop(self) -> None:
         if not self._streaming:
@@ -139,8 +133,7 @@ class AravisSource(FrameSource):
                     self._camera.stop_acquisition()
             except DeviceSilence:  # the camera is dead; nothing else is sent to it then
                 self._lost = True
-        if self._stream is not None:
-            self._update_counters(self._stream, now=True)
+        self._counters |= self.counters  # what is known once the stream is closed
 
     def close(self) -> None:
         self.stop()
@@ -151,6 +144,12 @@ class AravisSource(FrameSource):
         if device is not None and not gone and device.is_controller():
             with contextlib.suppress(self._GLib.Error):
                 device.leave_control()
+
+    @property
+    def counters(self) -> dict[str, int]:
+        stream, schedule = self._stream, self._schedule
+        missed = {} if schedule is None else {"triggers_missed": schedule.missed}
+        return self._counters | ({} if stream is None else stream.counts()) | missed
 
     @property
     def details(self) -> dict[str, str]:
@@ -173,9 +172,9 @@ class AravisSource(FrameSource):
         access = AravisFeatures(self._device, self._Aravis, self._GLib)
         if not self._device.is_controller():
             raise SourceUnavailable(
-                f"is controlled by another program{_controller(access)}",
+                "is controlled by another program",
                 where=self.description,
-                remedy="Stop that program, or wait until it lets go.",
+                remedy="Stop that program, or wait until it lets go (sagoma doctor tells where it runs).",
             )
         self._lost = False
         self._camera = self._Aravis.Camera.new_with_device(self._device)
@@ -197,7 +196,7 @@ class AravisSource(FrameSource):
                     "takes no scheduled action commands, which sync action needs",
                     "Set aravis.sync to ptp, line or software.",
                 )
-            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self.counters)
+            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self._counters)
         return self._time_source(features, reading)
 
     def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
@@ -217,15 +216,16 @@ class AravisSource(FrameSource):
             "camera_address": device.address,
             "camera_model": f"{device.manufacturer} {device.model}".strip(),
             "pixel_format": setup.pixel_format,
-            "exposure_us": _number_text(setup.exposure_us),
-            "frame_rate": _number_text(setup.frame_rate),
-            "gain": _number_text(features.number("Gain")),
-            "temperature_c": _number_text(features.number("DeviceTemperature")),
+            "exposure_us": setup.exposure_us,
+            "frame_rate": setup.frame_rate,
+            "gain": features.number("Gain"),
+            "temperature_c": features.number("DeviceTemperature"),
             "sync": self._settings.sync,
             "stamps": time_source.name,
             "packet_size": str(self._device.get_packet_size()),
         }
-        return {name: text for name, text in details.items() if text}
+        texts = {name: f"{value:g}" if isinstance(value, float) else value for name, value in details.items()}
+        return {name: text for name, text in texts.items() if text}
 
     # --- while it runs -------------------------------------------------------------------------------------------
 
@@ -246,16 +246,9 @@ class AravisSource(FrameSource):
             return
         try:
             camera.software_trigger()
-            self.counters["triggers"] += 1
+            self._counters["triggers"] += 1
         except self._GLib.Error:
-            self.counters["triggers_refused"] += 1
-
-    def _update_counters(self, stream: AravisStream, now: bool = False) -> None:
-        stream.update_counters(self.counters, now)
-        if self._schedule is not None:
-            self.counters["triggers_missed"] = self._schedule.missed
-        if self._actions is not None:
-            self._actions.collect()
+            self._counters["triggers_refused"] += 1
 
     def _error(self, what: str, remedy: str) -> InputError:
         return InputError(what, where=self.description, remedy=remedy)
@@ -273,18 +266,3 @@ class AravisSource(FrameSource):
         except DeviceRefusal as refusal:
             kind = SourceUnavailable if self._features is None else InputError
             raise kind(f"refuses {when} ({refusal})", where=self.description, remedy=remedy) from None
-
-
-def _number_text(number: float | None) -> str:
-    """Return a number as text; "" for None."""
-    return "" if number is None else f"{number:g}"
-
-
-def _controller(registers: AravisFeatures) -> str:
-    """ " at 10.0.0.7:50123", the program that controls the camera, where the camera reports it; else ""."""
-    try:
-        address = registers.read_register(bootstrap.PRIMARY_ADDRESS)
-        port = registers.read_register(bootstrap.PRIMARY_PORT) & 0xFFFF
-    except (DeviceRefusal, DeviceSilence):
-        return ""
-    return f" at {ipaddress.IPv4Address(address)}:{port}" if address else ""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +11,9 @@ from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision.gvsp import PixelFormat
 
-from ..frame_source import REPORT_PERIOD_S, FrameStatistics, Image
+from ..frame_source import FrameStatistics, Image
 from ..gige.camera_setup import CameraSetup
 from ..gige.capture_time import SECOND, FrameTimes
-from ..gige.discovery import enlarge_receive_buffer
-from ..gige.features import spellings
 from ..gige.pixel_formats import to_image
 from ..settings import AravisSettings
 
@@ -27,15 +24,6 @@ FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
 PACKET_TIMEOUT_US = 5000  # ... and again after this
 
 
-@dataclass(frozen=True, eq=False)
-class GrabbedFrame:
-    """A whole frame: image, id, and its times, of which the arrival of the first packet is in UTC."""
-
-    image: Image
-    frame_id: int
-    times: FrameTimes
-
-
 class AravisStream:
     """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
 
@@ -43,22 +31,8 @@ class AravisStream:
     Raises InputError when the camera does not keep the packet size or delay that was set.
     """
 
-    STATUSES = ("TIMEOUT", "MISSING_PACKETS", "WRONG_PACKET_ID", "SIZE_MISMATCH", "ABORTED")
-    INFOS: ClassVar = {
-        "n_resend_requests": "resend_requests",
-        "n_resent_packets": "resent_packets",
-        "n_missing_packets": "missing_packets",
-        "n_underruns": "underruns",
-        "n_error_packets": "error_packets",
-        "n_resend_ratio_reached": "resend_limit_reached",
-    }
-    COUNTERS = (
-        *(f"incomplete_{status.lower()}" for status in STATUSES),
-        "incomplete_other",
-        "wrong_format",
-        "chunk_errors",
-        *INFOS.values(),
-    )
+    INFOS = ("resend_requests", "resent_packets", "missing_packets", "underruns", "error_packets")  # Aravis: "n_..."
+    COUNTERS = (*INFOS, "wrong_format")
 
     def __init__(
         self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, statistics: FrameStatistics
@@ -69,18 +43,13 @@ class AravisStream:
         self._format_code = camera.get_pixel_format()
         self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
         self._image_bytes = PixelFormat[setup.pixel_format].image_bytes(setup.width, setup.height)
-        self._chunks = camera.create_chunk_parser() if setup.chunks else None
         self._ticks_per_second = self._device.get_timestamp_tick_frequency() or SECOND
-        self._exposure_chunk = self._chunk_name("ExposureTime")
         self._set_packets()
         # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
         camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
         self._stream = camera.create_stream(None, None)
         self.warnings = self._set_up()
-        self._counts = dict.fromkeys(self.COUNTERS, 0)
-        known = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}  # depends on the version
-        self._infos = {info: name for info, name in self.INFOS.items() if info in known}
-        self._next_update_s = 0.0
+        self._wrong_format = 0
         self._run_begun, self._has_run = False, False
         self._last_id: int | None = None
 
@@ -93,8 +62,11 @@ class AravisStream:
             self._stream.start_thread()
         self._has_run, self._run_begun = True, False
 
-    def grab(self, timeout_s: float) -> GrabbedFrame | None:
-        """Return the next frame; None when it was not whole, or none came in time. Waits without the GIL."""
+    def grab(self, timeout_s: float) -> tuple[Image, int, FrameTimes] | None:
+        """Return image, id and times of the next frame; None when it was not whole, or none came in time.
+
+        Of the times the arrival of the first packet is in UTC. Waits without the GIL.
+        """
         buffer = self._stream.timeout_pop_buffer(int(timeout_s * 1e6))
         if buffer is None:
             return None
@@ -103,35 +75,25 @@ class AravisStream:
         finally:
             self._give_back(buffer)
 
-    def update_counters(self, counters: dict[str, int], now: bool = False) -> None:
-        """Write all counts into ``counters``; once in REPORT_PERIOD_S at most, unless ``now``."""
-        now_s = time.monotonic()
-        if not now and now_s < self._next_update_s:
-            return
-        self._next_update_s = now_s + REPORT_PERIOD_S
-        for info, name in self._infos.items():
-            self._counts[name] = self._stream.get_info_uint64_by_name(info)
-        counters.update(self._counts)
+    def counts(self) -> dict[str, int]:
+        """Return :data:`COUNTERS` of this instant."""
+        counted = {name: self._stream.get_info_uint64_by_name(f"n_{name}") for name in self.INFOS}
+        return {**counted, "wrong_format": self._wrong_format}
 
     # --- one frame -----------------------------------------------------------------------------------------------
 
-    def _take(self, buffer: Any) -> GrabbedFrame | None:
+    def _take(self, buffer: Any) -> tuple[Image, int, FrameTimes] | None:
         frame_id = self._id_of(buffer)
-        status = buffer.get_status()
-        image = None
-        if status != self._Aravis.BufferStatus.SUCCESS:
-            key = f"incomplete_{status.value_nick}".replace("-", "_")
-            self._counts[key if key in self._counts else "incomplete_other"] += 1
-        elif not self._is_as_agreed(buffer):
-            self._counts["wrong_format"] += 1
-        else:
-            setup = self._setup
-            size = setup.width, setup.height
-            image = to_image(buffer.memory[: self._image_bytes], setup.pixel_format, *size, setup.halved)
-        self._statistics.add(frame_id, complete=image is not None)
-        if image is None:
+        whole = buffer.get_status() == self._Aravis.BufferStatus.SUCCESS
+        agreed = whole and self._is_as_agreed(buffer)
+        self._wrong_format += whole and not agreed
+        self._statistics.add(frame_id, complete=agreed)
+        if not agreed:
             return None
-        return GrabbedFrame(image, frame_id, self._times(buffer))
+        setup, raw = self._setup, buffer.memory[: self._image_bytes]
+        image = to_image(raw, setup.pixel_format, setup.width, setup.height, setup.halved)
+        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
+        return image, frame_id, FrameTimes(buffer.get_timestamp(), arrival_ns, self._exposure_ns)
 
     def _id_of(self, buffer: Any) -> int:
         """Return the frame's id; without its leader packet it has none, and then it is the one after the last."""
@@ -143,28 +105,11 @@ class AravisStream:
         return frame_id
 
     def _is_as_agreed(self, buffer: Any) -> bool:
-        kinds = self._Aravis.BufferPayloadType
-        if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+        if buffer.get_payload_type() != self._Aravis.BufferPayloadType.IMAGE:
             return False
         padding = buffer.get_image_padding()
         came = buffer.get_image_pixel_format(), buffer.get_image_width(), buffer.get_image_height(), padding[0]
         return came == (self._format_code, self._setup.width, self._setup.height, 0)
-
-    def _times(self, buffer: Any) -> FrameTimes:
-        """Return the frame's times; stamp and exposure of the frame's own chunks where it carries them."""
-        camera_ns, exposure_ns = buffer.get_timestamp(), self._exposure_ns
-        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
-        if self._chunks is None:
-            return FrameTimes(camera_ns, arrival_ns, exposure_ns)
-        try:
-            if "Timestamp" in self._setup.chunks:
-                ticks = self._chunks.get_integer_value(buffer, "ChunkTimestamp")
-                camera_ns = ticks * SECOND // self._ticks_per_second
-            if self._exposure_chunk:
-                exposure_ns = round(self._chunks.get_float_value(buffer, self._exposure_chunk) * US_TO_NS)
-        except Exception:  # GLib.Error, whatever the parser met
-            self._counts["chunk_errors"] += 1
-        return FrameTimes(camera_ns, arrival_ns, exposure_ns)
 
     def _give_back(self, buffer: Any) -> None:
         buffer.set_frame_id(0)  # or a frame without leader would keep the id of the last one in this buffer
@@ -186,24 +131,19 @@ class AravisStream:
 
     def _set_up(self) -> tuple[str, ...]:
         Aravis, s, stream = self._Aravis, self._settings, self._stream
-        warnings = []
         able = self._device.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.PACKET_RESEND
-        if not able:
-            warnings.append("the camera cannot send lost packets again: every lost packet costs a frame")
         resend = Aravis.GvStreamPacketResend
         stream.set_property("packet-resend", resend.ALWAYS if able else resend.NEVER)
         stream.set_property("packet-request-ratio", 1.0)  # all of a frame's packets may be asked for again
         stream.set_property("initial-packet-timeout", FIRST_PACKET_TIMEOUT_US)
         stream.set_property("packet-timeout", PACKET_TIMEOUT_US)
         stream.set_property("frame-retention", round(s.frame_retention_ms * 1000 / s.clock_speed))
-        # FIXED, or Aravis would shrink the buffer that we enlarge here to one frame when the first one comes
         stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
         stream.set_property("socket-buffer-size", s.socket_buffer_bytes)
-        warnings.append(enlarge_receive_buffer(stream.get_port(), s.socket_buffer_bytes))
         payload = max(self._camera.get_payload(), self._image_bytes)
         for _ in range(s.buffers):
             stream.push_buffer(self._new_buffer(payload))
-        return tuple(warning for warning in warnings if warning)
+        return () if able else ("the camera cannot send lost packets again: every lost packet costs a frame",)
 
     def _new_buffer(self, size: int) -> Any:
         """A buffer of Aravis over memory of NumPy, which lives as long as the buffer does: PyGObject keeps it."""
@@ -219,12 +159,6 @@ class AravisStream:
                 where=f"aravis.{key}",
                 remedy="Give a value that the camera keeps, or leave it out.",
             )
-
-    def _chunk_name(self, chunk: str) -> str:
-        """Return how this camera spells the feature that holds a chunk; "" when it sends no such chunk."""
-        if chunk not in self._setup.chunks:
-            return ""
-        return next((n for n in spellings(f"Chunk{chunk}") if self._device.get_feature(n) is not None), "")
 
 
 def first_of_run(arrived: int, last_of_former_run: int | None) -> int:

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, wait
-from typing import TypeVar
+from typing import Any
 
 from capture_rig.errors import InputError
 
@@ -26,14 +26,11 @@ from ..frame_source import (
     FrameStatistics,
     SourceUnavailable,
 )
-from ..settings import SupervisionSettings
 
 # Thresholds: judgement, no measurement.
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
 START_S = 2 * RELEASE_S  # a living camera starts within this: more is asked of it than when it stops
-FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
-
-T = TypeVar("T")
+RETRY_S = 1.0  # after an attempt that failed
 
 
 class SupervisedSource(FrameSource):
@@ -44,49 +41,41 @@ class SupervisedSource(FrameSource):
     stall_timeout_s : of a connected source: how long it may be silent; infinite while nothing is expected.
     clock : seconds, monotonic; pause : sleeps so many seconds (a test may give its own).
 
-    A connection that delivered and stopped is made anew at once. An attempt that fails with SourceUnavailable, and a
-    connection that never delivered, are followed by another after a quarter of a second, then twice that, and so on to
-    LONGEST_RETRY_S; an attempt that fails with a plain InputError by one at this slowest pace. ``statistics`` and
-    ``counters`` add up over all connections; the counters include reconnects, stalls, control_losses, failed_attempts.
+    A connection that stopped is made anew at once, an attempt that failed is followed by another after RETRY_S.
+    ``statistics`` and ``counters`` add up over all connections; the counters include reconnects, stalls,
+    control_losses, failed_attempts.
     """
 
     def __init__(
         self,
         make: Callable[[], FrameSource],
-        settings: SupervisionSettings | None = None,
-        accept: Callable[[FrameSource], None] = lambda source: None,
-        stall_timeout_s: Callable[[FrameSource], float] | None = None,
+        accept: Callable[[FrameSource], None],
+        stall_timeout_s: Callable[[FrameSource], float],
         clock: Callable[[], float] = time.monotonic,
         pause: Callable[[float], object] | None = None,
     ) -> None:
-        settings = settings or SupervisionSettings()
-        self._make, self._accept, self._clock = make, accept, clock
-        self._stall_timeout_s = stall_timeout_s or (lambda source: settings.stall_timeout_s)
+        self._make, self._accept, self._clock, self._stall_timeout_s = make, accept, clock, stall_timeout_s
         self._stopping = threading.Event()
         self._pause = pause or self._stopping.wait
         self._lock = threading.Lock()  # of the source and of what former sources have counted
         self._source: FrameSource | None = None
         self._past_statistics, self._past_counters = FrameStatistics(), Counter[str]()
-        self._attempt: Future[FrameSource] | None = None
-        self._closing: list[Future[None]] = []  # calls that close former connections
+        self._attempt: tuple[FrameSource, Future] | None = None  # a source that connects
+        self._closing: list[Future] = []  # calls that close former connections
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._silent_s = self._limit_s = 0.0
-        self._retry_pause_s, self._downtime = 0.0, Downtime()
-        self._arrived, self._delivering = 0, False
-        self._ever_connected = False
-        self._details: dict[str, str] = {}
+        self._downtime = Downtime()
+        self._arrived, self._ever_connected = 0, False
 
     # --- the source's contract -----------------------------------------------------------------------------------
 
     def connect(self) -> None:
         """Try once. A camera that does not answer is tried again while the source runs; InputError is raised."""
-        attempt = self._launch()
-        if is_over(attempt, CONNECT_WAIT_S):
-            error = self._conclude(attempt)
-            if error is not None and not isinstance(error, SourceUnavailable):
-                self.close()
-                raise error
+        error = self._try(CONNECT_WAIT_S)
+        if error is not None and not isinstance(error, SourceUnavailable):
+            self.close()
+            raise error
 
     def start(self) -> None:
         if self._running:
@@ -103,25 +92,28 @@ class SupervisedSource(FrameSource):
             self._resume(source)
 
     def read(self, timeout_s: float) -> Frame | None:
-        if not self._running:
-            raise InputError("is not started", where=self.description, remedy="Call start() first.")
-        if self._source is None:
-            self._reconnect(timeout_s)
-            return None
-        return self._read(self._source, timeout_s)
+        if self._source is not None:
+            return self._read(self._source, timeout_s)
+        pause_s = self._next_try_s - self._clock()
+        if self._attempt is None and pause_s > 0:
+            self._pause(min(pause_s, timeout_s))
+        else:
+            self._try(timeout_s)
+        return None
 
     def stop(self) -> None:
         self._running = False
         self._stopping.set()
         if self._attempt is not None:
-            self._closing.append(in_background(_closer_of(self._attempt)))
+            connecting, call = self._attempt
+            self._closing.append(in_background(connecting.close, after=call))
             self._attempt = None
         source = self._source
         self._downtime.end(self._clock(), delivered=False)
         if source is None or self._state is not ConnectionState.STREAMING:
             return
         stopping = in_background(source.stop)
-        if is_over(stopping, RELEASE_S):
+        if _is_over(stopping, RELEASE_S):
             self._state = ConnectionState.CONNECTED
         else:
             self._release(after=stopping)
@@ -132,18 +124,17 @@ class SupervisedSource(FrameSource):
         self.stop()
         self._release()
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
-        self._retry_pause_s = 0.0
         wait(self._closing, RELEASE_S)
         self._closing = [call for call in self._closing if not call.done()]
 
     @property
     def details(self) -> dict[str, str]:
         source = self._source
-        return dict(self._details) if source is None else source.details
+        return {} if source is None else source.details
 
     @property
     def lost(self) -> bool:
-        return self._state.away
+        return self.connection.state.away
 
     @property
     def statistics(self) -> FrameStatistics:
@@ -166,6 +157,8 @@ class SupervisedSource(FrameSource):
     @property
     def connection(self) -> Connection:
         now_s, state = self._clock(), self._state
+        if self._attempt is not None and state in (ConnectionState.CLOSED, ConnectionState.WAITING):
+            state = ConnectionState.CONNECTING
         reason = self._reason if state.away else ""
         next_try_s = max(self._next_try_s - now_s, 0.0) if state is ConnectionState.WAITING else 0.0
         down_s, downtime_s = self._downtime.present_s(now_s), self._downtime.sum_s(now_s)
@@ -182,8 +175,7 @@ class SupervisedSource(FrameSource):
             return None
         now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
-            self._arrived, self._heard_s, self._delivering, self._silent_s = arrived, now_s, True, 0.0
-            self._retry_pause_s = 0.0
+            self._arrived, self._heard_s, self._silent_s = arrived, now_s, 0.0
         else:  # time in which this process did not get to run is no silence of the camera
             self._silent_s += min(now_s - began_s, wait_s)
         if frame is not None:
@@ -199,10 +191,9 @@ class SupervisedSource(FrameSource):
         """Release a connection that is of no use any more, and try at once to make another."""
         self.count("control_losses" if state is ConnectionState.CONTROL_LOST else "stalls")
         self._release()
-        now_s = self._clock()
         self._downtime.begin(self._heard_s)
         self._state, self._reason, self._refused = state, reason, False
-        self._next_try_s = now_s + (0.0 if self._delivering else self._next_pause_s())
+        self._next_try_s = self._clock()
 
     def _release(self, after: Future | None = None) -> None:
         """Close the present connection on a thread of its own (once ``after`` is over) and keep its counts."""
@@ -212,57 +203,38 @@ class SupervisedSource(FrameSource):
                 return
             self._past_statistics = self._past_statistics + source.statistics
             self._past_counters.update(source.counters)
-        self._details = {}
-
-        def close() -> None:
-            wait([] if after is None else [after])
-            source.close()
-
-        self._closing = [call for call in self._closing if not call.done()] + [in_background(close)]
+        self._closing = [call for call in self._closing if not call.done()] + [in_background(source.close, after)]
 
     # --- while it does not ---------------------------------------------------------------------------------------
 
-    def _reconnect(self, timeout_s: float) -> None:
-        """Take one step towards a connection, in no longer than ``timeout_s``."""
-        pause_s = self._next_try_s - self._clock()
-        if self._attempt is None and pause_s > 0:
-            self._pause(min(pause_s, timeout_s))
-            return
-        attempt = self._attempt or self._launch()
-        if is_over(attempt, timeout_s):
-            self._conclude(attempt)
-
-    def _conclude(self, attempt: Future[FrameSource]) -> Exception | None:
-        """Use the connection that an attempt made; or wait before the next one, and return why it failed."""
+    def _try(self, timeout_s: float) -> Exception | None:
+        """Begin an attempt to connect, or go on with it, for so long; return why it failed, if it did by now."""
+        if self._attempt is None:
+            source = self._make()
+            self.description = source.description
+            self._attempt = source, in_background(source.connect)
+        source, connecting = self._attempt
+        if not _is_over(connecting, timeout_s):
+            return None
         self._attempt = None
         try:
-            self._use(attempt.result())
+            connecting.result()
+            self._use(source)
         except Exception as error:
-            refused = isinstance(error, InputError) and not isinstance(error, SourceUnavailable)
-            self._back_off(_text_of(error), refused)
+            self.count("failed_attempts")
+            if self._running:
+                self._downtime.begin(self._heard_s)
+            self._next_try_s = self._clock() + RETRY_S
+            self._state, self._reason = ConnectionState.WAITING, _text_of(error)
+            self._refused = isinstance(error, InputError) and not isinstance(error, SourceUnavailable)
             return error
         return None
-
-    def _launch(self) -> Future[FrameSource]:
-        """Begin an attempt to connect."""
-        source = self._make()
-        self.description = source.description
-        if self._state not in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
-            self._state = ConnectionState.CONNECTING
-
-        def connect() -> FrameSource:
-            source.connect()
-            return source
-
-        self._attempt = in_background(connect)
-        return self._attempt
 
     def _use(self, source: FrameSource) -> None:
         """Take a new connection into use. Raises InputError, with nothing left open, when that fails."""
         with self._lock:
             self._source = source
-        self.shape, self.description, self._details = source.shape, source.description, source.details
-        self.warnings = source.warnings
+        self.shape, self.description, self.warnings = source.shape, source.description, source.warnings
         try:
             self._accept(source)
             if self._running:
@@ -272,14 +244,14 @@ class SupervisedSource(FrameSource):
             raise
         if self._ever_connected:
             self.count("reconnects")
-        self._ever_connected, self._delivering, self._arrived = True, False, 0
+        self._ever_connected, self._arrived = True, 0
         self._heard_s, self._silent_s, self._limit_s = self._clock(), 0.0, self._stall_timeout_s(source)
         self._reason, self._refused = "", False
         self._state = ConnectionState.STREAMING if self._running else ConnectionState.CONNECTED
 
     def _start(self, source: FrameSource) -> None:
         starting = in_background(source.start)
-        if not is_over(starting, START_S):
+        if not _is_over(starting, START_S):
             self._release(after=starting)
             raise SourceUnavailable("does not answer when it is started", where=self.description)
         starting.result()
@@ -297,20 +269,6 @@ class SupervisedSource(FrameSource):
             self._silent_s = 0.0
             self._state = ConnectionState.STREAMING
 
-    def _next_pause_s(self, slowest: bool = False) -> float:
-        """Return the pause before the next attempt: twice the last one, or the longest from now on."""
-        doubled_s = 2 * self._retry_pause_s or FIRST_RETRY_S
-        self._retry_pause_s = LONGEST_RETRY_S if slowest else min(doubled_s, LONGEST_RETRY_S)
-        return self._retry_pause_s
-
-    def _back_off(self, reason: str, refused: bool) -> None:
-        self.count("failed_attempts")
-        now_s = self._clock()
-        if self._running:
-            self._downtime.begin(self._heard_s)
-        self._next_try_s = now_s + self._next_pause_s(slowest=refused)
-        self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
-
 
 def _text_of(error: Exception) -> str:
     return str(error) if isinstance(error, InputError) else repr(error)  # a driver's own
@@ -319,11 +277,13 @@ def _text_of(error: Exception) -> str:
 # --- calls that may block for seconds
 
 
-def in_background(call: Callable[[], T]) -> Future[T]:
-    """Run ``call`` on a daemon thread of its own: the process ends without waiting for it, unlike for an executor's."""
-    over = Future[T]()
+def in_background(call: Callable[[], Any], after: Future | None = None) -> Future:
+    """Run ``call``, once ``after`` is over, on a daemon thread of its own: unlike an executor's, the process ends
+    without waiting for it."""
+    over = Future[Any]()
 
     def run() -> None:
+        wait([] if after is None else [after])
         try:
             over.set_result(call())
         except Exception as error:
@@ -333,17 +293,6 @@ def in_background(call: Callable[[], T]) -> Future[T]:
     return over
 
 
-def is_over(call: Future, timeout_s: float) -> bool:
+def _is_over(call: Future, timeout_s: float) -> bool:
     """Return whether ``call`` has returned or raised, within ``timeout_s`` from now."""
     return not wait([call], timeout_s).not_done
-
-
-def _closer_of(attempt: Future[FrameSource]) -> Callable[[], None]:
-    """Return a call that waits for ``attempt`` and closes the connection that it made, if any."""
-
-    def close() -> None:
-        wait([attempt])
-        if attempt.exception() is None:
-            attempt.result().close()
-
-    return close

@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -15,7 +14,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy as Reliability
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, CompressedImage
 from sensor_msgs.msg import Image as ImageMessage
 
@@ -31,14 +29,12 @@ from .footage_reader import convert_channels
 T = TypeVar("T")
 
 TYPES = {"sensor_msgs/msg/Image": ImageMessage, "sensor_msgs/msg/CompressedImage": CompressedImage}
-OURS = ("camera_info", "image_raw")  # what the client publishes in its own namespace
 CLOCK = "header of the topic"
-UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rclpy's name of a node of which only a publisher was discovered so far
 DEPTH = 4  # images that may wait: older ones make room, and count as lost
 
 
 class TopicSource(FrameSource):
-    """Images that a driver publishes; ``client`` is the name of the node that uses them, in ``namespace``.
+    """Images that a driver publishes, for a camera client in ``namespace``.
 
     ``use_lens`` is called with the driver's camera_info, where the settings name one, before the connection is made.
 
@@ -51,14 +47,13 @@ class TopicSource(FrameSource):
         self,
         settings: TopicSettings,
         channels: str = "auto",
-        client: str = "camera_client",
         namespace: str = "/",
         context: Context | None = None,
         use_lens: Callable[[CameraInfo], None] = lambda info: None,
     ) -> None:
         super().__init__()
         self._use_lens = use_lens
-        self._client, self.description = client, f"topic {settings.name}"
+        self.description = f"topic {settings.name}"
         self._settings, self._channels, self._namespace, self._context = settings, channels, namespace, context
         self._node: Node | None = None
         self._executor: SingleThreadedExecutor | None = None
@@ -90,6 +85,12 @@ class TopicSource(FrameSource):
     def _subscribe(self, node: Node) -> None:
         """Find the publisher; learn size, rate and lens from the first images. InputError, or SourceUnavailable."""
         topic = node.resolve_topic_name(self._settings.name)
+        if topic.rpartition("/")[0] == self._namespace.rstrip("/"):
+            raise InputError(
+                f"{topic} is in the namespace in which the camera client publishes image_raw and camera_info itself",
+                where=self.description,
+                remedy=f"Start the driver in another one: --ros-args -r __ns:=/driver{self._namespace}",
+            )
         publishers = self._first(lambda: node.get_publishers_info_by_topic(topic) or None, "nobody publishes it")
         kinds = {info.topic_type for info in publishers}
         if len(kinds) != 1 or kinds.isdisjoint(TYPES):
@@ -109,7 +110,6 @@ class TopicSource(FrameSource):
         first, second = (self._frame(*self._waiting.popleft()) for _ in range(2))
         if lens:
             self._use_lens(self._first(lambda: self._camera_info, silence.format(lens)))
-        self._check_own_namespace()  # by now all that the driver publishes is known
         self.shape = first.image.shape
         self._rate_hz = NS_PER_S / max(second.stamp_ns - first.stamp_ns, 1)
         if abs(age_s := (time.time_ns() - second.stamp_ns) / NS_PER_S) > 1.0:
@@ -118,41 +118,17 @@ class TopicSource(FrameSource):
                 "cameras agree only where all drivers stamp by one clock",
             )
 
-    def _check_own_namespace(self) -> None:
-        """Raises InputError when the driver publishes what the client itself publishes under the same name."""
-        assert self._node is not None
-        for topic in map(self._node.resolve_topic_name, OURS):
-            theirs = self._spin_for(partial(self._other_publishers, topic))
-            if theirs:
-                raise InputError(
-                    f"node {theirs[0].node_name} publishes {topic}, as the camera client does of its own images",
-                    where=self.description,
-                    remedy=f"Start the driver in another namespace: --ros-args -r __ns:=/driver{self._namespace}",
-                )
-
-    def _other_publishers(self, topic: str) -> list[TopicEndpointInfo] | None:
-        """Return who else publishes a topic; None while some publisher's node is not known yet."""
-        assert self._node is not None
-        found = self._node.get_publishers_info_by_topic(topic)
-        return None if any(i.node_name == UNKNOWN for i in found) else [i for i in found if i.node_name != self._client]
-
-    def _spin_for(self, take: Callable[[], T | None]) -> T | None:
-        """Return what ``take`` gives once it gives something, or None when that lasts."""
+    def _first(self, take: Callable[[], T | None], otherwise: str) -> T:
+        """Return what ``take`` gives once it gives something; SourceUnavailable, ``otherwise``, when that lasts."""
         assert self._executor is not None
         deadline_s = time.monotonic() + LASTING_S
-        while (found := take()) is None and time.monotonic() < deadline_s:
+        while (found := take()) is None:
+            if time.monotonic() >= deadline_s:
+                raise SourceUnavailable(otherwise, where=self.description)
             self._executor.spin_once(timeout_sec=POLL_S)
         return found
 
-    def _first(self, take: Callable[[], T | None], otherwise: str) -> T:
-        """Return the same; SourceUnavailable with what is said ``otherwise``."""
-        if (found := self._spin_for(take)) is None:
-            raise SourceUnavailable(otherwise, where=self.description)
-        return found
-
     def start(self) -> None:
-        if self._executor is None:
-            raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
         if not self._running:
             self._waiting.clear()
             self._numbers.restart()

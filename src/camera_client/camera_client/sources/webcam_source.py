@@ -80,8 +80,6 @@ class WebcamSource(FrameSource):
         self.shape = convert_channels(image, self._channels).shape
 
     def start(self) -> None:
-        if self._capture is None:
-            raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
         if self._thread is not None and self._stopping.is_set():
             raise SourceUnavailable("has not answered since it was stopped", where=self.description)
         if self._thread is not None:

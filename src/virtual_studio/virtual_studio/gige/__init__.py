@@ -2,7 +2,7 @@
 
 from .acquisition import TriggerWire
 from .camera import SimulatedCamera
-from .device import CameraSettings, Faults, free_addresses
+from .device import CameraSettings, Faults, free_address
 from .loop import EventLoop
 from .scenes import CameraScene, PatternScene, Playback
 from .studio import Studio, StudioSettings
@@ -18,5 +18,5 @@ __all__ = [
     "Studio",
     "StudioSettings",
     "TriggerWire",
-    "free_addresses",
+    "free_address",
 ]

@@ -15,6 +15,7 @@ from capture_rig.rig import save_rig
 from capture_rig.settings import build_settings, leaves, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
+from rig_calibration.boards.board import read_board
 
 from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
 from .device import FAULT_NAMES
@@ -43,8 +44,8 @@ EPILOG = f"""talking to a running studio:
 {textwrap.fill(", ".join(PHASES), 78, initial_indent=" " * 6)}
   play [once] [at_ns=N]           begin at frame 0; prints when that is
   hold                            stay at frame 0
-  pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or
-                                  as a generator (0 stops it)
+  wire rate=HZ                    pulses on trigger input Line1 of all cameras;
+                                  0 stops them
 """
 
 
@@ -126,15 +127,17 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
     cameras = folder / CAMERA_FOLDER
     cameras.mkdir(parents=True, exist_ok=True)
     rig_file = folder / RIG_FILE
-    if studio.is_calibrated:
+    calibrated = studio.setup is None
+    if calibrated:
         save_rig(studio.rig, rig_file)
     else:
-        save_truth(studio.rig, *studio.boards, folder)
+        hand, floor = read_board(studio.settings.hand_board), read_board(studio.settings.floor_board)
+        save_truth(studio.rig, hand, floor, folder)
     slow = {} if studio.settings.speed == 1 else {"clock_speed": studio.settings.speed}
     for name, camera in studio.cameras.items():
         parameters = {
             "autostart": True,
-            **({"rig_file": str(rig_file.resolve())} if studio.is_calibrated else {}),
+            **({"rig_file": str(rig_file.resolve())} if calibrated else {}),
             "camera_name": name,
             "source": "aravis",
             "aravis": {"address": camera.address, "frame_rate": studio.frame_rate, **slow},
@@ -170,7 +173,7 @@ def _announce(studio: Studio, args: argparse.Namespace) -> None:
     print(f"talk to it:   sagoma studio --control {args.control or default_path()} status")
     if args.write:
         folder = write_rig_files(studio, args.write)
-        if studio.is_calibrated:
+        if studio.setup is None:
             print(f"run on it:    sagoma up --rig {folder / RIG_FILE} --cameras {folder / CAMERA_FOLDER}")
         else:
             words = f"sagoma up --cameras {folder / CAMERA_FOLDER}"

@@ -6,34 +6,32 @@ Exposures begin at whole multiples of the period, in step with every other camer
 from __future__ import annotations
 
 import random
-import struct
 import time
 from collections import deque
 from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
 
-import numpy as np
-from numpy.typing import NDArray
-
 from capture_rig.stamps import UTC, CaptureClock
 from gige_vision.gvcp import Action, Status
-from gige_vision.gvsp import Payload, PixelFormat, encode_chunk, image_leader, image_trailer, next_block_id
+from gige_vision.gvsp import PixelFormat, image_leader, image_trailer, next_block_id
 
 from .device import CameraSettings, Device, Faults
-from .feature_table import CHUNKS, IMAGE_CHUNK, ON, PTP_STATES, TICKS_PER_SECOND, TRIGGER_SOURCES
-from .imaging import ExposureControl, ImagingPipeline, pixel_bytes
+from .feature_table import PTP_STATES
+from .imaging import ImagingPipeline, pixel_bytes
 from .loop import EventLoop, Timer
-from .registers import RegisterError, Registers, Value
+from .registers import RegisterError, Value
 from .scenes import CameraScene
 from .stream import StreamChannel
 
 SECOND_NS = 1_000_000_000
+TAI_MINUS_UTC_NS = 37 * SECOND_NS  # PTP counts TAI
 MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
 LONGEST_BACKLOG_NS = 250_000_000  # frames, and pulses of the generator, that are late by more are left out
 REMEMBERED = 4096
-LOCKED = ("Width", "Height", "BinningHorizontal", "BinningVertical", "PixelFormat", "ChunkModeActive", "ChunkEnable")
+LOCKED = ("Width", "Height", "BinningHorizontal", "BinningVertical", "PixelFormat")
+PERIODIC_SIGNAL = "PeriodicSignal1"
 
 
 def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int:
@@ -64,7 +62,7 @@ class CameraClock:
     def stamp(self, utc_ns: int) -> int:
         """Returns the clock's reading at an instant."""
         if self.is_synchronised:
-            reading = utc_ns + self._tai_ns + self._residual_ns
+            reading = utc_ns + TAI_MINUS_UTC_NS + self._residual_ns
         else:
             elapsed = utc_ns - self._zero_ns
             reading = elapsed + round(elapsed * self._settings.drift_ppm * 1e-6)
@@ -74,7 +72,7 @@ class CameraClock:
         """Returns the instant at which the clock reads ``stamp_ns``."""
         reading = stamp_ns - self._faults.stamp_jump_ns
         if self.is_synchronised:
-            return reading - self._tai_ns - self._residual_ns
+            return reading - TAI_MINUS_UTC_NS - self._residual_ns
         return self._zero_ns + round(reading / (1 + self._settings.drift_ppm * 1e-6))
 
     @property
@@ -89,113 +87,46 @@ class CameraClock:
         settled = (time.monotonic_ns() - self._ptp_since_ns) * 1e-9 >= self._settings.ptp_settle_s
         return PTP_STATES["Slave" if settled and not self._faults.ptp_lost else "Listening"]
 
-    @property
-    def _tai_ns(self) -> int:
-        return self._settings.tai_minus_utc_s * TICKS_PER_SECOND
-
-
-class Timing:
-    """The instants (studio's clock, ns) at which exposures begin, for all cameras with one rate the same."""
-
-    def __init__(self, registers: Registers, clock: CameraClock, exposure: ExposureControl) -> None:
-        self._registers, self._clock, self._exposure = registers, clock, exposure
-        self._timer_rate, self._timer_start = 0.0, 0
-        registers.writes["SyncFreeRunTimerUpdate"] = self._update_timer
-        registers.reads["ResultingFrameRate"] = lambda: float(1 / self.period_s)
-
-    @property
-    def source(self) -> str:
-        """What starts an exposure: "" (free running) or a trigger source."""
-        r = self._registers
-        if r.integer("TriggerMode") != ON:
-            return ""
-        return next(name for name, value in TRIGGER_SOURCES.items() if value == r.integer("TriggerSource"))
-
-    @property
-    def is_periodic(self) -> bool:
-        """True when exposures follow each other by themselves."""
-        return self.source in ("", "PeriodicSignal1")
-
-    @property
-    def period_s(self) -> Fraction:
-        """Seconds between exposures; not shorter than an exposure."""
-        r = self._registers
-        if self.source == "PeriodicSignal1":
-            signal_ns = round(r.real("BslPeriodicSignalPeriod") * 1000)
-            return Fraction(max(signal_ns, self._exposure.exposure_ns), SECOND_NS)
-        if self._free_run_timer:
-            rate_hz = self._timer_rate
-        else:
-            rate_hz = r.real("AcquisitionFrameRate") if r.integer("AcquisitionFrameRateEnable") else MOST_HZ
-        return _period_s(rate_hz, self._exposure.exposure_ns)
-
-    def next_start(self, after_ns: int) -> int:
-        """Returns when the first exposure after an instant begins."""
-        period_ns = _nanoseconds(self.period_s)
-        if self.source == "PeriodicSignal1":
-            delay_ns = round(self._registers.real("BslPeriodicSignalDelay") * 1000)
-            return self._in_camera_time(after_ns, period_ns, delay_ns)
-        if self._free_run_timer:
-            return self._in_camera_time(after_ns, period_ns, self._timer_start)
-        return next_multiple(after_ns, period_ns)
-
-    @property
-    def trigger_delay_ns(self) -> int:
-        return round(self._registers.real("TriggerDelay") * 1000)
-
-    @property
-    def _free_run_timer(self) -> bool:
-        return bool(self._registers.integer("SyncFreeRunTimerEnable")) and self._timer_rate > 0
-
-    def _in_camera_time(self, after_ns: int, period_ns: Fraction, origin_ns: int) -> int:
-        """Multiples that the camera's own clock counts."""
-        after = self._clock.stamp(after_ns)
-        start = origin_ns if after < origin_ns else next_multiple(after, period_ns, origin_ns)
-        return max(self._clock.utc_of(start), after_ns + 1)
-
-    def _update_timer(self) -> None:
-        r = self._registers
-        self._timer_rate = r.real("SyncFreeRunTimerTriggerRate")
-        self._timer_start = r.integer("SyncFreeRunTimerStartTimeHigh") << 32 | r.integer("SyncFreeRunTimerStartTimeLow")
-
-
-@lru_cache
-def _period_s(rate_hz: float, exposure_ns: int) -> Fraction:
-    return max(1 / Fraction(rate_hz).limit_denominator(_RATE_GRAIN), Fraction(exposure_ns, SECOND_NS))
-
-
-@lru_cache
-def _nanoseconds(seconds: Fraction) -> Fraction:
-    return seconds * SECOND_NS
-
 
 class Acquisition:
-    """Takes one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop."""
+    """Takes one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop.
+
+    Exposures begin at instants of the studio's clock (ns), of all cameras with one rate the same.
+    """
 
     def __init__(
-        self,
-        device: Device,
-        scene: CameraScene,
-        clock: CameraClock,
-        imaging: ImagingPipeline,
-        timing: Timing,
-        stream: StreamChannel,
+        self, device: Device, scene: CameraScene, clock: CameraClock, imaging: ImagingPipeline, stream: StreamChannel
     ) -> None:
         self.scene = scene
         self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
-        self._loop, self._clock, self._imaging, self._timing, self._stream = device.loop, clock, imaging, timing, stream
+        self._loop, self._clock, self._imaging, self._stream = device.loop, clock, imaging, stream
         self._now_ns = device.loop.clock.now_ns
         self.running = False
         self.lateness_ns: deque[int] = deque(maxlen=REMEMBERED)
         self._block_id = self._busy_until_ns = 0
         self._timers: list[Timer] = []
-        self._registers.writes["AcquisitionStart"] = self.start
-        self._registers.writes["AcquisitionStop"] = self.stop
-        self._registers.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
-        for key in ("TriggerMode", "TriggerSource", "SyncFreeRunTimerEnable"):
-            self._registers.writes[key] = self._rearm
-        for key in LOCKED:
-            self._registers.checks[key] = self._refuse_while_running
+        r = self._registers
+        r.reads["ResultingFrameRate"] = lambda: float(SECOND_NS / self.period_ns)
+        r.writes |= {"AcquisitionStart": self.start, "AcquisitionStop": self.stop}
+        r.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
+        r.writes |= dict.fromkeys(("TriggerMode", "TriggerSource"), self._rearm)
+        for name in LOCKED:
+            r.checks[name].append(self._refuse_while_running)
+
+    @property
+    def source(self) -> str:
+        """What starts an exposure: "" (free running) or a trigger source."""
+        return self._registers.label("TriggerSource") if self._registers.integer("TriggerMode") else ""
+
+    @property
+    def period_ns(self) -> Fraction:
+        """Time between exposures that follow each other by themselves; not shorter than an exposure."""
+        r = self._registers
+        if self.source == PERIODIC_SIGNAL:
+            rate_hz = 1e6 / r.real("BslPeriodicSignalPeriod")
+        else:
+            rate_hz = r.real("AcquisitionFrameRate") if r.integer("AcquisitionFrameRateEnable") else MOST_HZ
+        return max(_period_ns(rate_hz), Fraction(self._imaging.exposure_ns))
 
     def start(self) -> None:
         """Begins with block 1."""
@@ -211,29 +142,25 @@ class Acquisition:
         self.running = False
         self._cancel()
 
-    def trigger(self, source: str, instant_ns: int) -> bool:
-        """Handles a trigger at an instant (of the loop's clock, ns); True when it starts an exposure."""
-        if not self.running or self._timing.source != source:
-            return False
-        start_ns = instant_ns + self._timing.trigger_delay_ns
+    def trigger(self, source: str, instant_ns: int) -> None:
+        """Handles a trigger at an instant (of the loop's clock, ns)."""
+        if not self.running or self.source != source:
+            return
+        start_ns = instant_ns + round(self._registers.real("TriggerDelay") * 1000)
         if start_ns < self._busy_until_ns:
             self._counters["triggers_missed"] += 1
-            return False
+            return
         self._counters["triggers"] += 1
         self._expose_at(start_ns)
-        return True
 
     def execute_action(self, action: Action) -> Status | None:
-        """Triggers now or at the time of an action command; None when it is meant for other cameras."""
+        """Triggers at the time of an action command; None when it is meant for other cameras."""
         r = self._registers
         if action.device_key != r.integer("ActionDeviceKey") or action.group_key != r.integer("ActionGroupKey"):
             return None
         if not action.group_mask & r.integer("ActionGroupMask"):
             return None
         self._counters["actions"] += 1
-        if action.time_ns is None:
-            self.trigger("Action1", self._now_ns())
-            return Status.SUCCESS
         if not self._clock.is_synchronised:
             return Status.NO_REFERENCE_TIME
         when_ns = self._clock.utc_of(action.time_ns)
@@ -246,11 +173,21 @@ class Acquisition:
     def _rearm(self) -> None:
         """Schedules the first exposure of a free-running camera; a triggered one waits."""
         self._cancel()
-        if self.running and self._timing.is_periodic:
-            self._expose_at(self._timing.next_start(self._now_ns()))
+        if self.running:
+            self._expose_after(self._now_ns())
+
+    def _expose_after(self, after_ns: int) -> None:
+        """Schedule the next exposure of a camera whose exposures follow each other by themselves."""
+        period_ns = self.period_ns
+        if self.source == PERIODIC_SIGNAL:  # which the camera's own clock counts
+            delay_ns = round(self._registers.real("BslPeriodicSignalDelay") * 1000)
+            start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns, delay_ns))
+            self._expose_at(max(start_ns, after_ns + 1))
+        elif not self.source:
+            self._expose_at(next_multiple(after_ns, period_ns))
 
     def _expose_at(self, start_ns: int) -> None:
-        exposure_ns = self._imaging.exposure.exposure_ns
+        exposure_ns = self._imaging.exposure_ns
         self._busy_until_ns = start_ns + exposure_ns
         self._timers = [timer for timer in self._timers if not timer.done()]
         self._timers.append(self._loop.call_at(start_ns + exposure_ns, lambda: self._read_out(start_ns, exposure_ns)))
@@ -262,39 +199,20 @@ class Acquisition:
         self._counters["frames_exposed"] += 1
         if not self._faults.stall:
             self._send(start_ns, exposure_ns)
-        if self._timing.is_periodic:
-            after_ns = start_ns
-            if late_ns > LONGEST_BACKLOG_NS:
-                after_ns = self._now_ns()
-                self._counters["late_restarts"] += 1
-            self._expose_at(self._timing.next_start(after_ns))
+        if late_ns > LONGEST_BACKLOG_NS:
+            self._counters["late_restarts"] += 1
+        self._expose_after(self._now_ns() if late_ns > LONGEST_BACKLOG_NS else start_ns)
 
     def _send(self, start_ns: int, exposure_ns: int) -> None:
         picture = self._imaging.capture(self.scene.image(start_ns + exposure_ns // 2))
-        region, r = self._imaging.region, self._registers
+        r, announced = self._registers, self._imaging.pixel_format
         self._block_id = next_block_id(self._block_id)
-        stamp = self._clock.stamp(start_ns)
-        data = pixel_bytes(picture, region.pixel_format)
-        chunk_bytes = None
-        if r.integer("ChunkModeActive"):
-            data = self._with_chunks(data, stamp)
-            chunk_bytes = len(data)
-        announced = region.pixel_format
+        data = pixel_bytes(picture, announced)
         if self._faults.wrong_format:
             announced = PixelFormat.Mono12 if announced is PixelFormat.Mono8 else PixelFormat.Mono8
         size_px, offset_px = (r.integer("Width"), r.integer("Height")), (r.integer("OffsetX"), r.integer("OffsetY"))
-        payload = Payload.IMAGE if chunk_bytes is None else Payload.IMAGE_WITH_CHUNKS
-        leader = image_leader(stamp, announced, size_px, offset_px, payload)
-        self._stream.send(self._block_id, leader, data, image_trailer(size_px[1], chunk_bytes))
-
-    def _with_chunks(self, data: NDArray[np.uint8], stamp: int) -> NDArray[np.uint8]:
-        contents = {
-            "Timestamp": struct.pack(">q", stamp),
-            "ExposureTime": struct.pack(">d", self._imaging.exposure.exposure_us),
-        }
-        tail = encode_chunk(IMAGE_CHUNK, b"")[:4] + struct.pack(">I", len(data))
-        tail += b"".join(encode_chunk(CHUNKS[name], contents[name]) for name in self._imaging.region.chunks)
-        return np.concatenate([data, np.frombuffer(tail, np.uint8)])
+        leader = image_leader(self._clock.stamp(start_ns), announced, size_px, offset_px)
+        self._stream.send(self._block_id, leader, data, image_trailer(size_px[1]))
 
     def _cancel(self) -> None:
         for timer in self._timers:
@@ -306,10 +224,15 @@ class Acquisition:
             raise RegisterError(Status.ACCESS_DENIED)
 
 
+@lru_cache
+def _period_ns(rate_hz: float) -> Fraction:
+    return SECOND_NS / Fraction(rate_hz).limit_denominator(_RATE_GRAIN)
+
+
 class TriggerWire:
     """The cable to input Line1 of several cameras, which see each pulse at the same instant.
 
-    pulse() is one rising edge; run() is a pulse generator at a steady rate.
+    run() is a pulse generator at a steady rate.
     """
 
     def __init__(self, loop: EventLoop) -> None:
@@ -320,10 +243,6 @@ class TriggerWire:
     def listen(self, callback: Callable[[int], None]) -> None:
         """Calls back with the instant (studio's clock, ns) of each rising edge, from within the loop."""
         self._listeners.append(callback)
-
-    def pulse(self) -> int:
-        """Makes one rising edge now; returns its instant (studio's clock, ns)."""
-        return self._loop.call(lambda: self._rise(self._loop.clock.now_ns()))
 
     def run(self, rate_hz: float) -> None:
         """Generates pulses at whole multiples of the period of its clock, until another rate; 0: none."""
@@ -342,10 +261,6 @@ class TriggerWire:
 
     def _tick(self, when_ns: int, rate: Fraction) -> None:
         if self._loop.clock.now_ns() - when_ns < LONGEST_BACKLOG_NS:
-            self._rise(when_ns)
+            for listener in self._listeners:
+                listener(when_ns)
         self._schedule(rate)
-
-    def _rise(self, instant_ns: int) -> int:
-        for listener in self._listeners:
-            listener(instant_ns)
-        return instant_ns

@@ -9,10 +9,10 @@ import numpy as np
 from capture_rig.errors import InputError
 from gige_vision.bootstrap import Capability
 
-from .acquisition import Acquisition, CameraClock, Timing, TriggerWire
+from .acquisition import SECOND_NS, Acquisition, CameraClock, TriggerWire
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
-from .gvcp_server import ControlPrivilege, GvcpServer
+from .gvcp_server import GvcpServer
 from .imaging import ImagingPipeline
 from .loop import EventLoop
 from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml
@@ -46,7 +46,7 @@ class SimulatedCamera:
         self._user_id = self.settings.user_id
         height, width, *channels = scene.shape
         self.features = feature_table(self.settings, address, width, height, bool(channels))
-        self._description = genicam_xml(self.features, self.settings.vendor, self.settings.model)
+        self._description = genicam_xml(self.features)
         self._powered: _PoweredCamera | None = None
         self._running = False
 
@@ -128,44 +128,37 @@ class _PoweredCamera:
         self.registers["FirstUrl"] = f"Local:{XML_NAME}.xml;{FILE_SPACE:X};{len(description):X}"
         self.registers["DeviceUserID"] = user_id
         self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
-        self._imaging = ImagingPipeline(device)
-        self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
         self._stream = StreamChannel(device)
-        self.acquisition = Acquisition(device, camera.scene, self._clock, self._imaging, self._timing, self._stream)
-        self.privilege = ControlPrivilege(device, self.acquisition.stop)
+        self.acquisition = Acquisition(device, camera.scene, self._clock, ImagingPipeline(device), self._stream)
+        acquisition, stream = self.acquisition, self._stream
         try:
-            self._server = GvcpServer(device, self.privilege, self._stream.resend, self.acquisition.execute_action)
+            self._server = GvcpServer(device, acquisition.stop, stream.resend, acquisition.execute_action)
         except InputError:
             self._stream.close()
             raise
         r, clock = self.registers, self._clock
-        r.reads["GvcpCapability"] = self._capability
+        without = CAPABILITIES & ~Capability.PACKET_RESEND
+        r.reads["GvcpCapability"] = lambda: int(without if camera.faults.no_resend else CAPABILITIES)
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
         r.writes["TimestampControl"] = self._latch_time
 
     def close(self) -> None:
-        self.acquisition.stop()
-        self.privilege.release()
         self._server.close()
         self._stream.close()
 
     def status(self) -> dict[str, object]:
-        owner = self.privilege.owner
+        owner = self._server.owner
         p50, p99, most = np.percentile(np.array(self.acquisition.lateness_ns or [0]) / 1e3, (50, 99, 100)).round(1)
         return {
             "user_id": self.registers["DeviceUserID"],
             "controller": f"{owner[0]}:{owner[1]}" if owner else "",
             "streaming": self.acquisition.running and self._stream.is_open,
-            "frame_rate": round(float(1 / self._timing.period_s), 3),
-            "trigger": self._timing.source,
+            "frame_rate": round(float(SECOND_NS / self.acquisition.period_ns), 3),
+            "trigger": self.acquisition.source,
             "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
             "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         }
-
-    def _capability(self) -> int:
-        without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)
-        return int(CAPABILITIES & ~without)
 
     def _latch_time(self) -> None:
         stamp = self._clock.stamp(self._camera.loop.clock.now_ns())

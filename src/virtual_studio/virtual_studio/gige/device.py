@@ -18,46 +18,31 @@ from gige_vision.gvcp import PORT
 from .loop import EventLoop
 from .registers import Registers
 
-SFNC, OLD = "sfnc", "old"
-
 
 @dataclass(frozen=True)
 class CameraSettings:
     """A simulated GigE Vision camera. What a client sets by feature is only the value after power-on here.
 
-    vendor, model : their names. nominal_exposure_us : at this exposure and 0 dB the picture is as bright as the scene
-    gives it. max_packet_size : bytes of the largest stream packet, IP header included. resend_frames : kept for resend
-    requests. ptp_offset_ns : typical offset from the master once in step. tai_minus_utc_s : leap seconds, for PTP
-    counts TAI. seed : of noise, clock offset and packet loss.
+    nominal_exposure_us : at this exposure and 0 dB the picture is as bright as the scene gives it. max_packet_size :
+    bytes of the largest stream packet, IP header included. ptp_offset_ns : typical offset from the master once in step.
+    seed : of noise, clock offset and packet loss.
     """
 
     serial: str = setting("SIM00001", "Serial number, 15 bytes at most")
     user_id: str = setting("", "User-defined name at first power-on, 15 bytes at most")
-    vendor: str = "Sagoma"
-    model: str = "Studio"
-    generation: str = setting(
-        SFNC,
-        "Names of the features: sfnc (today's), or old (ExposureTimeAbs, GainRaw, GevIEEE1588, ...)",
-        choices=(SFNC, OLD),
-    )
     frame_rate: float = setting(60.0, "Frame rate", unit="Hz", low=0.1, high=1000)
     exposure_us: float = setting(4000.0, "Exposure time", unit="us", low=10, high=1e6)
     nominal_exposure_us: float = 4000.0
     pixel_format: str = setting("auto", "Pixel format; auto: Mono8, or BayerRG8 where the scene has colour")
-    auto_functions: str = setting(
-        "Off", "ExposureAuto, GainAuto and BalanceWhiteAuto", choices=("Off", "Once", "Continuous")
-    )
     noise: float = setting(
         0.0, "Sensor noise added to every picture (standard deviation)", unit="grey levels", low=0, high=50
     )
     max_packet_size: int = 16000
-    resend_frames: int = 8
     drift_ppm: float = setting(
         12.0, "How much faster the free-running clock is than UTC", unit="ppm", low=-1000, high=1000
     )
     ptp_settle_s: float = setting(0.4, "Time from PtpEnable to status Slave", unit="s", low=0, high=600)
     ptp_offset_ns: int = 80
-    tai_minus_utc_s: int = 37
     seed: int = 1
 
 
@@ -69,8 +54,7 @@ class Faults:
     stall : no frames leave, while control goes on answering.
     unplugged : the cable is out: nothing is answered and nothing is sent, but the camera keeps its state.
     frozen : the picture does not change any more; stamps and ids go on.
-    lens_cap : black pictures (with the sensor's noise).
-    light : a factor on the light of the scene; 0.06: the lamps are off.
+    light : a factor on the light of the scene; 0.06: the lamps are off, 0: the lens is covered.
     stamp_jump_ns : added to the camera's clock.
     wrong_format : leaders announce another pixel format than the one that was set.
     no_resend : the camera neither offers nor answers packet resends.
@@ -81,7 +65,6 @@ class Faults:
     stall: bool = False
     unplugged: bool = False
     frozen: bool = False
-    lens_cap: bool = False
     light: float = 1.0
     stamp_jump_ns: int = 0
     wrong_format: bool = False
@@ -141,23 +124,17 @@ FIRST, LAST = int(ipaddress.IPv4Address("127.0.32.1")), int(ipaddress.IPv4Addres
 _ATTEMPTS = 1000
 
 
-def free_addresses(count: int) -> list[str]:
-    """Finds so many loopback addresses whose GVCP port is free; another call gives other ones.
+def free_address() -> str:
+    """Finds a loopback address whose GVCP port is free; another call gives another one, mostly.
 
-    Raises InputError where the system lends none (a system without the whole of 127.0.0.0/8).
+    Raises InputError where the system lends none.
     """
-    found: dict[str, None] = {}
     for _ in range(_ATTEMPTS):
-        if len(found) == count:
-            return list(found)
         address = ipaddress.IPv4Address(random.randint(FIRST, LAST))
         if address.packed[3] not in (0, 255) and is_free(str(address)):
-            found[str(address)] = None
-    raise InputError(
-        f"found only {len(found)} of {count} free loopback addresses",
-        where=f"port {PORT}",
-        remedy="Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface.",
-    )
+            return str(address)
+    remedy = "Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface."
+    raise InputError("found no free loopback address", where=f"port {PORT}", remedy=remedy)
 
 
 def is_free(address: str) -> bool:

@@ -37,46 +37,51 @@ Peer = tuple[str, int]
 LARGEST_COMMAND = 2048
 
 
-class ControlPrivilege:
-    """Grants control to the first application that asks, and takes it back when its heartbeat stops.
+class GvcpServer:
+    """Serves one camera's control channel on its address, port 3956. Raises InputError if the address is not free.
 
-    on_release is called whenever the control becomes free.
+    ``owner`` is the application that has control: the first that asked, until it lets go or its heartbeat stops;
+    ``on_release`` is called whenever the control becomes free.
     """
 
-    def __init__(self, device: Device, on_release: Callable[[], None]) -> None:
-        self._registers, self._counters, self._loop = device.registers, device.counters, device.loop
-        self._on_release = on_release
+    def __init__(
+        self,
+        device: Device,
+        on_release: Callable[[], None],
+        on_resend: Callable[[int, int, int], None],
+        on_action: Callable[[Action], Status | None],
+    ) -> None:
+        self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
+        self._loop, self._on_release, self._on_resend, self._on_action = device.loop, on_release, on_resend, on_action
+        self._socket = _bound(device.address)
+        self._loop.add_reader(self._socket, self._receive)
         device.registers.writes["GevHeartbeatTimeout"] = self._watch
         self.owner: Peer | None = None
         self._heard_ns = 0
         self._timer: Timer | None = None
 
-    def may_write(self, peer: Peer) -> bool:
-        return self.owner == peer
+    def close(self) -> None:
+        self._release()
+        self._loop.remove_reader(self._socket)
+        self._socket.close()
 
-    def heartbeat_from(self, peer: Peer) -> None:
-        """Notes that a peer is alive: any command of the owner is a heartbeat."""
-        if peer == self.owner:
-            self._heard_ns = time.monotonic_ns()
-
-    def request(self, peer: Peer, value: int) -> None:
-        """Handles a write to the privilege register. Raises RegisterError (access denied) while a peer owns it."""
+    def _request_control(self, peer: Peer, value: int) -> None:
+        """Handle a write to the privilege register. Raises RegisterError (access denied) while a peer owns it."""
         if self.owner not in (None, peer):
             self._counters["control_denied"] += 1
             raise RegisterError(Status.ACCESS_DENIED)
         if not value & CONTROL:
             if self.owner is not None:
-                self.release()
+                self._release()
             return
         self._registers["ControlPrivilege"] = CONTROL
         self._registers["PrimaryPort"] = peer[1]
         self._registers["PrimaryAddress"] = int(ipaddress.IPv4Address(peer[0]))
-        self.owner = peer
-        self.heartbeat_from(peer)
+        self.owner, self._heard_ns = peer, time.monotonic_ns()
         self._watch()
 
-    def release(self) -> None:
-        """Frees the control, and ends the stream."""
+    def _release(self) -> None:
+        """Free the control, and end the stream."""
         self.owner = None
         if self._timer is not None:
             self._timer.cancel()
@@ -93,29 +98,9 @@ class ControlPrivilege:
         left_ns = self._registers.integer("GevHeartbeatTimeout") * 1_000_000 - (time.monotonic_ns() - self._heard_ns)
         if left_ns <= 0:
             self._counters["heartbeats_lost"] += 1
-            self.release()
+            self._release()
             return
         self._timer = self._loop.call_later(left_ns, self._watch)
-
-
-class GvcpServer:
-    """Serves one camera's control channel on its address, port 3956. Raises InputError if the address is not free."""
-
-    def __init__(
-        self,
-        device: Device,
-        privilege: ControlPrivilege,
-        on_resend: Callable[[int, int, int], None],
-        on_action: Callable[[Action], Status | None],
-    ) -> None:
-        self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
-        self._loop, self._privilege, self._on_resend, self._on_action = device.loop, privilege, on_resend, on_action
-        self._socket = _bound(device.address)
-        self._loop.add_reader(self._socket, self._receive)
-
-    def close(self) -> None:
-        self._loop.remove_reader(self._socket)
-        self._socket.close()
 
     def _receive(self) -> None:
         while True:
@@ -132,19 +117,16 @@ class GvcpServer:
 
     def _take(self, packet: CommandPacket, peer: Peer) -> None:
         self._counters["commands"] += 1
-        self._privilege.heartbeat_from(peer)
+        if peer == self.owner:  # any command of the owner is a heartbeat
+            self._heard_ns = time.monotonic_ns()
         if packet.command == Command.PACKET_RESEND:
-            if self._is_owners(peer):
+            # stream receivers ask from a socket of their own, on the owner's machine
+            if self.owner is not None and self.owner[0] == peer[0]:
                 self._on_resend(*decode_resend(packet.payload))
             return
         answer = self._answer(packet, peer)
         if answer is not None and packet.wants_answer:
             self._send(answer, peer)
-
-    def _is_owners(self, peer: Peer) -> bool:
-        """Stream receivers ask for resends from a socket of their own, on the owner's machine."""
-        owner = self._privilege.owner
-        return owner is not None and owner[0] == peer[0]
 
     def _answer(self, packet: CommandPacket, peer: Peer) -> AcknowledgePacket | None:
         """Return the answer to a command; None for an action that is meant for other cameras."""
@@ -162,31 +144,29 @@ class GvcpServer:
         return AcknowledgePacket(packet.command + 1, payload, packet.request_id, status)
 
     def _payload(self, packet: CommandPacket, peer: Peer) -> bytes:
+        registers, payload = self._registers, packet.payload
         if packet.command == Command.DISCOVERY:
             return self._record()
-        if packet.command in (Command.READ_REGISTER, Command.READ_MEMORY):
-            return self._read(packet)
+        if packet.command == Command.READ_REGISTER:
+            return b"".join(registers.read(address, 4) for address in decode_words(payload))
+        if packet.command == Command.READ_MEMORY:
+            address, size = decode_memory_read(payload)
+            return encode_memory(address, registers.read(address, size))
         if packet.command == Command.WRITE_REGISTER:
-            for address, value in decode_writes(packet.payload):
+            for address, value in decode_writes(payload):
                 self._write(address, value.to_bytes(4, "big"), peer)
-            return encode_words([len(packet.payload) // 8])
+            return encode_words([len(payload) // 8])
         if packet.command == Command.WRITE_MEMORY:
-            address, data = decode_memory(packet.payload)
+            address, data = decode_memory(payload)
             self._write(address, data, peer)
             return encode_words([len(data)])
         raise RegisterError(Status.NOT_IMPLEMENTED)
 
-    def _read(self, packet: CommandPacket) -> bytes:
-        if packet.command == Command.READ_REGISTER:
-            return b"".join(self._registers.read(address, 4) for address in decode_words(packet.payload))
-        address, size = decode_memory_read(packet.payload)
-        return encode_memory(address, self._registers.read(address, size))
-
     def _write(self, address: int, data: bytes, peer: Peer) -> None:
         if address == bootstrap.CONTROL_PRIVILEGE and len(data) == 4:
-            self._privilege.request(peer, int.from_bytes(data, "big"))
+            self._request_control(peer, int.from_bytes(data, "big"))
             return
-        if not self._privilege.may_write(peer):
+        if self.owner != peer:
             self._counters["writes_denied"] += 1
             raise RegisterError(Status.ACCESS_DENIED)
         self._registers.write(address, data)
@@ -194,11 +174,9 @@ class GvcpServer:
     def _record(self) -> bytes:
         """Return the first bytes of the bootstrap registers; what is not implemented among them reads as zero."""
         record = bytearray(bootstrap.DISCOVERY_SIZE)
-        address = 0
-        while address < len(record):
+        for address in range(0, len(record), 4):
             with contextlib.suppress(RegisterError):
                 record[address : address + 4] = self._registers.read(address, 4)
-            address += 4
         return bytes(record)
 
     def _send(self, answer: AcknowledgePacket, peer: Peer) -> None:

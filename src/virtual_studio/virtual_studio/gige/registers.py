@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -39,74 +40,61 @@ class Kind(Enum):
 class Feature:
     """One feature and its register.
 
-    key : what this program calls it, whatever name the camera's generation gives it.
-    name : its GenICam name; "" for a register that no client sees by name.
+    category : "" of a register that no client sees by name.
     address, length : its register, bytes; address -1: wherever there is room.
     default : value after power-on; low, high, step : limits of what may be written.
-    high_key : the feature that holds the upper limit instead, where it depends on others.
+    high_of : the feature that holds the upper limit instead.
     entries : an enumeration's names and values.
     bits : (first, last), counted from the lowest: this feature is only a part of the register at its address, which
     another row describes.
     volatile : changes by itself, clients must not cache it.
-    chunk : this is no register but the content of a chunk with this id.
     """
 
-    key: str
     kind: Kind
-    name: str = ""
+    name: str
+    default: Value = 0
     address: int = -1
     length: int = 4
-    default: Value = 0
     writable: bool = True
     low: float | None = None
     high: float | None = None
     step: int | None = None
-    high_key: str = ""
+    high_of: str = ""
     entries: tuple[tuple[str, int], ...] = ()
     bits: tuple[int, int] | None = None
     unit: str = ""
     category: str = ""
     volatile: bool = False
-    chunk: int = 0
-
-    @property
-    def has_register(self) -> bool:
-        """False for a view of another row's register, and for a chunk."""
-        return self.bits is None and not self.chunk
 
 
 def placed(features: list[Feature]) -> tuple[Feature, ...]:
     """Gives an address to each register that has none."""
     found, free = [], FEATURE_SPACE
     for feature in features:
-        if feature.address < 0 and feature.has_register:
+        if feature.address < 0:
             feature, free = dataclasses.replace(feature, address=free), free + -(-feature.length // 8) * 8
         found.append(feature)
     return tuple(found)
 
 
-def _feature(kind: Kind, key: str, category: str, default: Value = 0, **more: Any) -> Feature:
-    return Feature(key, kind, name=key, category=category, default=default, **more)
+integer, boolean, command = (partial(Feature, kind) for kind in (Kind.INTEGER, Kind.BOOLEAN, Kind.COMMAND))
+real = partial(Feature, Kind.FLOAT, length=8)
 
 
-integer, boolean, command = (partial(_feature, kind) for kind in (Kind.INTEGER, Kind.BOOLEAN, Kind.COMMAND))
-real = partial(_feature, Kind.FLOAT, length=8)
+def text(name: str, default: str, length: int, address: int, writable: bool = True) -> Feature:
+    return Feature(Kind.STRING, name, default, address, length, writable)
 
 
-def text(key: str, category: str, default: str, length: int, **more: Any) -> Feature:
-    return _feature(Kind.STRING, key, category, default, length=length, **more)
-
-
-def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
+def choice(name: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
     """Return an enumeration; its default is the first entry unless named."""
     value = entries[default or next(iter(entries))]
-    return _feature(Kind.ENUMERATION, key, category, value, entries=tuple(entries.items()), **more)
+    return Feature(Kind.ENUMERATION, name, value, entries=tuple(entries.items()), **more)
 
 
-def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
+def hidden(name: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
     """Return a register of the standard that no GenICam feature names."""
     kind = Kind.STRING if isinstance(default, str) else Kind.INTEGER
-    return Feature(key, kind, address=address, length=length, default=default, writable=writable)
+    return Feature(kind, name, default, address, length, writable)
 
 
 class RegisterError(Exception):
@@ -118,41 +106,39 @@ class RegisterError(Exception):
 
 
 class Registers:
-    """Big-endian registers, one a feature. Clients come by address, the camera itself by key.
+    """Big-endian registers, one a feature. Clients come by address, the camera itself by name.
 
-    A client's write is checked against access and limits, then by ``checks[key]`` (which may raise RegisterError), and
-    when it stands, ``writes[key]`` is called. ``reads[key]`` makes the value anew whenever a client reads it.
+    A client's write is checked against access and limits, then by ``checks[name]`` (which may raise RegisterError), and
+    when it stands, ``writes[name]`` is called. ``reads[name]`` makes the value anew whenever a client reads it.
     """
 
     def __init__(self, features: Iterable[Feature], file: bytes = b"") -> None:
-        self._features = {f.key: f for f in features if f.has_register}
-        self._values: dict[str, Value] = {f.key: f.default for f in self._features.values()}
+        self._features = {f.name: f for f in features if f.bits is None}
+        self._values: dict[str, Value] = {f.name: f.default for f in self._features.values()}
         self._at: dict[int, Feature] = {}
         self._file = file
-        self.checks: dict[str, Callable[[Value], None]] = {}
+        self.checks: defaultdict[str, list[Callable[[Value], None]]] = defaultdict(list)
         self.writes: dict[str, Callable[[], object]] = {}
         self.reads: dict[str, Callable[[], Value]] = {}
         for feature in self._features.values():
             for address in range(feature.address, feature.address + feature.length, 4):
-                if address in self._at:
-                    raise ValueError(f"{feature.key} and {self._at[address].key} share address 0x{address:x}")
                 self._at[address] = feature
 
-    def __getitem__(self, key: str) -> Value:
-        return self._values[key]
+    def __getitem__(self, name: str) -> Value:
+        return self._values[name]
 
-    def __setitem__(self, key: str, value: Value) -> None:
-        self._values[key] = value
+    def __setitem__(self, name: str, value: Value) -> None:
+        self._values[name] = value
 
-    def integer(self, key: str) -> int:
-        return int(self._values[key])
+    def integer(self, name: str) -> int:
+        return int(self._values[name])
 
-    def real(self, key: str) -> float:
-        return float(self._values[key])
+    def real(self, name: str) -> float:
+        return float(self._values[name])
 
-    def label(self, key: str) -> str:
+    def label(self, name: str) -> str:
         """Returns the name of an enumeration's present entry."""
-        return next(name for name, value in self._features[key].entries if value == self._values[key])
+        return next(label for label, value in self._features[name].entries if value == self._values[name])
 
     def read(self, address: int, count: int) -> bytes:
         """Reads bytes of the memory. Raises RegisterError."""
@@ -166,40 +152,36 @@ class Registers:
             feature = self._at.get(at)
             if feature is None:
                 raise RegisterError(Status.INVALID_ADDRESS)
-            if feature.key in self.reads:
-                self._values[feature.key] = self.reads[feature.key]()
-            data += _encode(feature, self._values[feature.key])[at - feature.address :]
+            if feature.name in self.reads:
+                self._values[feature.name] = self.reads[feature.name]()
+            data += _encode(feature, self._values[feature.name])[at - feature.address :]
             at = feature.address + feature.length
         return bytes(data[:count])
 
     def write(self, address: int, data: bytes) -> None:
-        """Handles a client's write of one register or several. Raises RegisterError, before anything changes."""
+        """Handles a client's write of one register or several in a row. Raises RegisterError at the first refused."""
         if address % 4 or len(data) % 4 or not data:
             raise RegisterError(Status.BAD_ALIGNMENT)
-        changes: list[tuple[Feature, Value]] = []
         at = address
         while at < address + len(data):
             feature = self._at.get(at)
             if feature is None:
                 raise RegisterError(Status.INVALID_ADDRESS)
-            changes.append((feature, self._new_value(feature, at, data[at - address :])))
+            self._values[feature.name] = self._new_value(feature, at, data[at - address :])
+            if feature.name in self.writes:
+                self.writes[feature.name]()
             at = feature.address + feature.length
-        for feature, value in changes:
-            self._values[feature.key] = value
-        for feature, _ in changes:
-            if feature.key in self.writes:
-                self.writes[feature.key]()
 
     def _new_value(self, feature: Feature, at: int, data: bytes) -> Value:
         if not feature.writable:
             raise RegisterError(Status.WRITE_PROTECT)
         offset = at - feature.address
-        old = _encode(feature, self._values[feature.key])
+        old = _encode(feature, self._values[feature.name])
         merged = old[:offset] + data[: feature.length - offset]
         value = _decode(feature, merged + old[len(merged) :])
         self._check_limits(feature, value)
-        if feature.key in self.checks:
-            self.checks[feature.key](value)
+        for check in self.checks[feature.name]:
+            check(value)
         return value
 
     def _check_limits(self, feature: Feature, value: Value) -> None:
@@ -207,7 +189,7 @@ class Registers:
             raise RegisterError(Status.INVALID_PARAMETER)
         if isinstance(value, str):
             return
-        low, high = feature.low, self.real(feature.high_key) if feature.high_key else feature.high
+        low, high = feature.low, self.real(feature.high_of) if feature.high_of else feature.high
         wrong = (low is not None and not value >= low) or (high is not None and not value <= high)
         if wrong or (feature.step is not None and int(value) % feature.step):
             raise RegisterError(Status.INVALID_PARAMETER)
@@ -239,10 +221,10 @@ def _decode(feature: Feature, data: bytes) -> Value:
 
 # --- the GenICam description of the same table
 
-XML_NAME = "sagoma_studio_camera"
+VENDOR, MODEL, XML_NAME = "Sagoma", "Studio", "sagoma_studio_camera"
 _HEAD = (
     '<?xml version="1.0" encoding="utf-8"?>\n'
-    '<RegisterDescription ModelName="{model}" VendorName="{vendor}" StandardNameSpace="GEV" SchemaMajorVersion="1" '
+    f'<RegisterDescription ModelName="{MODEL}" VendorName="{VENDOR}" StandardNameSpace="GEV" SchemaMajorVersion="1" '
     'SchemaMinorVersion="1" SchemaSubMinorVersion="0" MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
     'ProductGuid="5f1b1c2e-6d1b-4a5e-9c57-000000000001" VersionGuid="5f1b1c2e-6d1b-4a5e-9c57-000000000002" '
     'xmlns="http://www.genicam.org/GenApi/Version_1_1" '
@@ -253,24 +235,21 @@ _HEAD = (
 PORT = "Device"
 
 
-def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> bytes:
+def genicam_xml(features: Iterable[Feature]) -> bytes:
     """Writes the XML, whole words: categories, a node for every named feature, a register node beneath each."""
-    named = [feature for feature in features if feature.name]
-    names = {feature.key: feature.name for feature in named}
-    parts = [_HEAD.format(vendor=escape(vendor), model=escape(model)), *_categories(named)]
+    named = [feature for feature in features if feature.category]
+    parts = [_HEAD, *_categories(named)]
     for feature in named:
-        parts.append(_node(feature, names))
+        parts.append(_node(feature))
         if feature.kind is not Kind.STRING:
             parts.append(_register(feature))
-        if feature.chunk:
-            parts.append(f'<Port Name="{_port(feature)}"><ChunkID>{feature.chunk:X}</ChunkID></Port>\n')
     parts.append(f'<Port Name="{PORT}"/>\n</RegisterDescription>\n')
     xml = "".join(parts).encode()
     return xml + b" " * (-len(xml) % 4)
 
 
 def _categories(features: list[Feature]) -> list[str]:
-    names = list(dict.fromkeys(feature.category for feature in features if feature.category))
+    names = list(dict.fromkeys(feature.category for feature in features))
     parts = [_element("Category", "Root", "".join(f"<pFeature>{name}</pFeature>" for name in names))]
     for name in names:
         members = "".join(f"<pFeature>{f.name}</pFeature>" for f in features if f.category == name)
@@ -278,7 +257,7 @@ def _categories(features: list[Feature]) -> list[str]:
     return parts
 
 
-def _node(feature: Feature, names: dict[str, str]) -> str:
+def _node(feature: Feature) -> str:
     if feature.kind is Kind.STRING:
         body = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
         return _element("StringReg", feature.name, f"{body}{_access(feature)}<pPort>{PORT}</pPort>")
@@ -290,39 +269,34 @@ def _node(feature: Feature, names: dict[str, str]) -> str:
     elif feature.kind is Kind.BOOLEAN:
         value += "<OnValue>1</OnValue><OffValue>0</OffValue>"
     else:
-        value += _limits(feature, names)
+        value += _limits(feature)
         value += f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""
-    selected = "<pSelected>ChunkEnable</pSelected>" if feature.key == "ChunkSelector" else ""
-    return _element(feature.kind.value, feature.name, value + selected)
+    return _element(feature.kind.value, feature.name, value)
 
 
-def _limits(feature: Feature, names: dict[str, str]) -> str:
+def _limits(feature: Feature) -> str:
     numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
     limits = "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
-    return limits + (f"<pMax>{names[feature.high_key]}</pMax>" if feature.high_key else "")
+    return limits + (f"<pMax>{feature.high_of}</pMax>" if feature.high_of else "")
 
 
 def _register(feature: Feature) -> str:
-    where = f"<Address>0x{0 if feature.chunk else feature.address:X}</Address><Length>{feature.length}</Length>"
-    where += f"{_access(feature)}<pPort>{_port(feature)}</pPort>"
-    where += "<Cachable>NoCache</Cachable>" if feature.volatile or feature.chunk or feature.bits else ""
+    where = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
+    where += f"{_access(feature)}<pPort>{PORT}</pPort>"
+    where += "<Cachable>NoCache</Cachable>" if feature.volatile or feature.bits else ""
     name = f"{feature.name}Reg"
     if feature.kind is Kind.FLOAT:
         return _element("FloatReg", name, f"{where}<Endianess>BigEndian</Endianess>")
-    sign = "<Sign>Signed</Sign>" if feature.unit == "ns" and feature.length == 8 else "<Sign>Unsigned</Sign>"
+    number = "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>"
     if feature.bits is None:
-        return _element("IntReg", name, f"{where}{sign}<Endianess>BigEndian</Endianess>")
+        return _element("IntReg", name, where + number)
     first, last = (31 - bit for bit in feature.bits)  # in big-endian registers bit 0 is the highest
     bits = f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
-    return _element("MaskedIntReg", name, f"{where}{bits}{sign}<Endianess>BigEndian</Endianess>")
+    return _element("MaskedIntReg", name, where + bits + number)
 
 
 def _access(feature: Feature) -> str:
     return f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode>"
-
-
-def _port(feature: Feature) -> str:
-    return f"{feature.name}Port" if feature.chunk else PORT
 
 
 def _element(tag: str, name: str, body: str) -> str:

@@ -6,8 +6,6 @@ One thread renders for all cameras; what it renders depends on the scene, when o
 from __future__ import annotations
 
 import threading
-import time
-from collections import Counter, deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -28,11 +26,8 @@ from ..recording.session import SESSION_FPS
 from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow
-from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback, StudioScene
+from .scenes import SECOND_NS, Playback, StudioScene
 
-KEPT_SETS = 3
-LONGEST_STEP_NS = 200_000_000
-"""The next exposure of cameras that expose less often is not predicted."""
 RENDER_HZ = 20  # live renderings at most
 EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "floor", "moving", "person")
 NEXT = "next"
@@ -50,13 +45,11 @@ class RenderedSet(NamedTuple):
 class RoomScene(StudioScene):
     """A person who moves in the room, rendered live for all cameras of a rig while they look.
 
-    One thread renders the room for the instants at which cameras will expose next. It is rarely as fast as they are:
-    a camera that looks meanwhile sees the newest picture once more, and so do the others that look at that instant.
-    ``counters``: sets_rendered, and how many of the views were fresh or repeated.
+    One thread renders the room for the last instant at which a camera looked. It is rarely as fast as they are: a
+    camera that looks meanwhile sees the newest picture once more, and so do the others that look at that instant.
     """
 
     playback: Playback
-    counters: Counter[str]
 
     def __init__(
         self,
@@ -73,11 +66,10 @@ class RoomScene(StudioScene):
         self._empty = {name: _picture(camera.empty_room()) for name, camera in self._cameras.items()}
         views = {name: LiveView(self, name) for name in rig.names}
         note = f"rendered live, at most {RENDER_HZ:g} times a second: pictures in between are repeated"
-        super().__init__(rig, views, Playback(len(self._poses), SESSION_FPS, clock), True, (note,), Counter())
+        super().__init__(rig, views, Playback(len(self._poses), SESSION_FPS, clock), True, (note,))
         self._shortest_ns = round(1e9 / most_hz)
-        self._sets: deque[RenderedSet] = deque(maxlen=KEPT_SETS)
-        self._asked: deque[int] = deque(maxlen=2)  # the last two instants that cameras asked for
-        self._chosen: RenderedSet | None = None  # what is seen at the last of them
+        self._asked_ns = 0  # the last instant that cameras asked for
+        self._newest = self._chosen = RenderedSet(0, {})  # of which the latter is seen at that instant
         self._condition = threading.Condition()
         self._running = False
         self._thread = threading.Thread(target=self._run, name="room", daemon=True)
@@ -91,7 +83,7 @@ class RoomScene(StudioScene):
     def start(self) -> None:
         """Renders the first set, then goes on in a thread."""
         now_ns = self.playback.clock.now_ns()
-        self._sets.append(RenderedSet(now_ns, self.render(now_ns)))
+        self._newest = RenderedSet(now_ns, self.render(now_ns))
         self._running = True
         self._thread.start()
 
@@ -106,45 +98,27 @@ class RoomScene(StudioScene):
         """Returns one camera's picture of the empty room."""
         return self._empty[name]
 
-    def newest(self, instant_ns: int) -> RenderedSet:
-        """Returns the latest set that is not from after the instant; also tells the renderer that a camera looks."""
+    def seen_at(self, instant_ns: int) -> RenderedSet:
+        """Returns the set that is seen at an instant; also tells the renderer that a camera looks."""
         with self._condition:
-            if self._asked and instant_ns == self._asked[-1] and self._chosen is not None:
-                return self._chosen
-            chosen = next((s for s in reversed(self._sets) if s.instant_ns <= instant_ns), self._sets[0])
-            if not self._asked or instant_ns > self._asked[-1]:
-                self._asked.append(instant_ns)
-                self._chosen = chosen
+            if instant_ns > self._asked_ns:
+                self._asked_ns, self._chosen = instant_ns, self._newest
                 self._condition.notify()
-            return chosen
+            return self._chosen
 
     def _run(self) -> None:
-        duration_ns = 0
-        while (instant_ns := self._next_instant(duration_ns)) is not None:
-            began = time.monotonic_ns()
-            rendered = RenderedSet(instant_ns, self.render(instant_ns))
-            duration_ns = round((time.monotonic_ns() - began) * self.playback.clock.speed)
+        while True:
             with self._condition:
-                self._sets.append(rendered)
-            self.counters["sets_rendered"] += 1
-
-    def _next_instant(self, duration_ns: int) -> int | None:
-        """Return the exposure to render next, None at the end; waits until a camera looks, and for the rate's limit.
-
-        It is the first exposure that has not begun when the rendering, of about ``duration_ns``, will be done.
-        """
-        with self._condition:
-            while self._running and not self._is_stale():
-                self._condition.wait()
-            if not self._running:
-                return None
-            last, step = self._asked[-1], self._asked[-1] - self._asked[0]
-        if not 0 < step < LONGEST_STEP_NS:
-            return last
-        return last + step * max(-((last - self.playback.clock.now_ns() - duration_ns) // step), 0)
+                self._condition.wait_for(lambda: not self._running or self._is_stale())
+                if not self._running:
+                    return
+                instant_ns = self._asked_ns
+            rendered = RenderedSet(instant_ns, self.render(instant_ns))
+            with self._condition:
+                self._newest = rendered
 
     def _is_stale(self) -> bool:
-        return bool(self._asked) and self._asked[-1] - self._sets[-1].instant_ns >= self._shortest_ns
+        return self._asked_ns - self._newest.instant_ns >= self._shortest_ns
 
 
 class LiveView:
@@ -152,19 +126,15 @@ class LiveView:
 
     def __init__(self, scene: RoomScene, name: str) -> None:
         self._scene, self._name = scene, name
-        self._last_ns = 0
 
     @property
     def shape(self) -> tuple[int, ...]:
         return self._scene.empty(self._name).shape
 
     def image(self, instant_ns: int) -> Image:
-        if not self._scene.playback.occupied_at(instant_ns):
+        if not self._scene.playback.occupied:
             return self._scene.empty(self._name)
-        newest = self._scene.newest(instant_ns)
-        self._scene.counters["views_repeated" if newest.instant_ns == self._last_ns else "views_fresh"] += 1
-        self._last_ns = newest.instant_ns
-        return newest.pictures[self._name]
+        return self._scene.seen_at(instant_ns).pictures[self._name]
 
 
 class SetupScene(RoomScene):
@@ -188,8 +158,7 @@ class SetupScene(RoomScene):
         self._hand, self._floor = print_of(hand_board), print_of(floor_board)
         self._waves = {c.name: wave(c, self._hand, seed + number) for number, c in enumerate(rig.cameras)}
         self._carried, self._lying = carry(self._floor, CARRIED_S, seed), on_floor(self._floor)
-        self._phase = self._before = PERSON
-        self._since_ns = 0
+        self._phase, self._since_ns = PERSON, 0
         self.show(EMPTY)
 
     @property
@@ -204,13 +173,12 @@ class SetupScene(RoomScene):
             remedy = f"It shows {', '.join(PHASES)}, or the next one: {NEXT}."
             raise InputError(f"there is no phase '{phase}'", where="studio", remedy=remedy)
         if phase != EMPTY:
-            self._before, self._phase = self._phase, phase
-            self._since_ns = self.playback.clock.now_ns() + SWITCH_AFTER_NS
-        self.playback.occupy(phase != EMPTY)
+            self._phase, self._since_ns = phase, self.playback.clock.now_ns()
+        self.playback.occupied = phase != EMPTY
         return phase
 
     def render(self, instant_ns: int) -> Mapping[str, Image]:
-        phase = self._phase if instant_ns >= self._since_ns else self._before
+        phase = self._phase
         t = max(instant_ns - self._since_ns, 0) / SECOND_NS
         if phase == INTRINSICS:
             return {name: self._render_waved(name, t) for name in self._waves}

@@ -22,8 +22,6 @@ from capture_rig.video import Video, is_grey
 from ..rendering.camera import Image
 
 SECOND_NS = 1_000_000_000
-SWITCH_AFTER_NS = 50_000_000
-"""Switching takes effect so long after the request, so that no camera is ahead of another."""
 PLAY_AFTER_NS = 1_500_000_000
 """A playback begins so long after the request (of UTC), so that whoever asked can get ready."""
 
@@ -43,7 +41,7 @@ class CameraScene(Protocol):
 class StudioScene:
     """What the cameras of a rig see: their ``views`` by name, the ``playback`` behind them (None: a test pattern).
 
-    can_be_empty : the empty room can be shown. notes : for people. counters : of what was rendered, where it is.
+    can_be_empty : the empty room can be shown. notes : for people.
     """
 
     rig: Rig
@@ -51,7 +49,6 @@ class StudioScene:
     playback: Playback | None = None
     can_be_empty: bool = False
     notes: tuple[str, ...] = ()
-    counters: Mapping[str, int] | None = None
 
     def start(self) -> None:
         """Begins to render, where that is done live."""
@@ -71,9 +68,6 @@ class PatternScene:
     ROWS = 3  # 32 bits of number, 64 of time
 
     def __init__(self, width: int = 640, height: int = 480, colour: bool = False) -> None:
-        least = self.PER_ROW * self.SQUARE_PX
-        if width < least or height < self.ROWS * self.SQUARE_PX:
-            raise InputError(f"a pattern of {width} x {height} pixels", remedy=f"Give at least {least} x 12.")
         self._width, self._height, self._colour = width, height, colour
         y, x = np.mgrid[: height + 256, :width]
         self._stripes = ((x + y) % 256).astype(np.uint8)
@@ -113,9 +107,10 @@ class PatternScene:
 
 
 class Playback:
-    """Which of ``frames`` frames at ``fps`` is seen at an instant, the same for every camera; who is in the room.
+    """Which of ``frames`` frames at ``fps`` is seen at an instant, the same for every camera.
 
-    Until play() is called it runs for ever, from frame 0 at the start of 1970. The room can be emptied meanwhile.
+    Until play() is called it runs for ever, from frame 0 at the start of 1970. ``occupied``: whether somebody is in the
+    room, which can be set meanwhile.
     clock : of the instants; UTC, unless in slow motion.
     """
 
@@ -123,15 +118,11 @@ class Playback:
         self.clock = clock
         self.frames, self._fps = frames, Fraction(fps).limit_denominator(1000)
         self.epoch_ns, self.loop, self._held = 0, True, False
-        self._occupied, self._before, self._since_ns = True, True, 0
+        self.occupied = True
 
     @property
     def fps(self) -> float:
         return float(self._fps)
-
-    @property
-    def occupied(self) -> bool:
-        return self._occupied
 
     def play(self, at_ns: int | None = None, loop: bool = True) -> int:
         """Begins anew: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
@@ -148,14 +139,6 @@ class Playback:
     def hold(self) -> None:
         """Stays at frame 0."""
         self._held = True
-
-    def occupy(self, occupied: bool) -> None:
-        """Lets the person in, or out."""
-        self._before, self._occupied = self._occupied, occupied
-        self._since_ns = self.clock.now_ns() + SWITCH_AFTER_NS
-
-    def occupied_at(self, instant_ns: int) -> bool:
-        return self._occupied if instant_ns >= self._since_ns else self._before
 
     def frame_at(self, instant_ns: int) -> int:
         """Returns the number of the frame that is seen at an instant."""
@@ -187,7 +170,7 @@ class SessionView:
         return self.frames[0].shape
 
     def image(self, instant_ns: int) -> Image:
-        if self.background and not self.playback.occupied_at(instant_ns):
+        if self.background and not self.playback.occupied:
             number = int(instant_ns * self.playback.fps // 1_000_000_000)
             return self.background[number % len(self.background)]
         return self.frames[self.playback.frame_at(instant_ns)]

@@ -20,6 +20,7 @@ from .device import Device
 
 SEND_BUFFER_BYTES = 4 << 20
 MOST_REFUSALS = 64
+RESEND_FRAMES = 8  # kept for resend requests
 BURST_NS = 500_000  # packets that a delay spreads leave in bursts this far apart
 
 Packet = tuple[bytes, bytes | memoryview]
@@ -62,7 +63,7 @@ class StreamChannel:
         self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
         self._settings, self._loop = device.settings, device.loop
         self._rng = np.random.default_rng(device.settings.seed)
-        self._blocks: deque[Block] = deque(maxlen=device.settings.resend_frames)
+        self._blocks: deque[Block] = deque(maxlen=RESEND_FRAMES)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

@@ -13,7 +13,7 @@ from capture_rig.rig import Rig
 from capture_rig.session import load_session
 from capture_rig.settings import setting
 from capture_rig.stamps import CaptureClock
-from rig_calibration.boards.board import Board, board_text, read_board
+from rig_calibration.boards.board import board_text, read_board
 
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
@@ -73,18 +73,21 @@ def built_in_rig(cameras: int) -> Rig:
 class Studio:
     """Runs N simulated cameras in one process and one thread; start() and close(), or a context manager.
 
-    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` what they see.
+    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` what they see,
+    ``setup`` the same where it is a set-up, whose cameras are still to be calibrated.
     Raises InputError for a session that cannot be read, or an address that is taken.
     """
 
     def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:
         self.settings = settings or StudioSettings()
         self.scene = make_studio_scene(self.settings)
+        self.rig, self.playback = self.scene.rig, self.scene.playback
+        self.setup = self.scene if isinstance(self.scene, SetupScene) else None
         self._control_path = Path(control) if control else None
         self._control: ControlServer | None = None
         self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
-        names = self.scene.rig.names
+        names = self.rig.names
         addresses = consecutive_addresses(self.settings.address, len(names))
         self.cameras = {
             name: SimulatedCamera(
@@ -92,30 +95,6 @@ class Studio:
             )
             for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
         }
-
-    @property
-    def rig(self) -> Rig:
-        return self.scene.rig
-
-    @property
-    def playback(self) -> Playback | None:
-        """The playback, which can be emptied and played from the start; None for the test pattern."""
-        return self.scene.playback
-
-    @property
-    def setup(self) -> SetupScene | None:
-        """The set-up that is shown, if one is."""
-        return self.scene if isinstance(self.scene, SetupScene) else None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """False for a set-up: its cameras are still to be calibrated."""
-        return self.setup is None
-
-    @property
-    def boards(self) -> tuple[Board, Board]:
-        """Boards of a set-up: the one waved before the cameras, and the one on the floor."""
-        return read_board(self.settings.hand_board), read_board(self.settings.floor_board)
 
     @property
     def frame_rate(self) -> float:
@@ -159,7 +138,6 @@ class Studio:
             "room": self._room,
             "play": self._play,
             "hold": self._hold,
-            "pulse": lambda request: {"instant_ns": self.wire.pulse()},
             "wire": self._wire,
             "show": self._show,
         }
@@ -201,7 +179,7 @@ class Studio:
             state["playback"] = {key: getattr(self.playback, key) for key in keys}
         if self.setup is not None:
             state["shows"] = self.setup.phase
-        return state | ({"room": dict(self.scene.counters)} if self.scene.counters is not None else {})
+        return state
 
     def _set(self, request: Request) -> Request:
         changes = request.get("faults")
@@ -228,7 +206,7 @@ class Studio:
         if state == "empty" and not self.scene.can_be_empty:
             remedy = "Use a session with a background for every camera."
             raise _refusal("the session has no pictures of the empty room", remedy)
-        self._required_playback().occupy(state == "occupied")
+        self._required_playback().occupied = state == "occupied"
         return {"room": state}
 
     def _play(self, request: Request) -> Request:
@@ -236,8 +214,7 @@ class Studio:
         if self.setup is not None:
             self.setup.show(PERSON)
         epoch_ns = playback.play(request.get("at_ns"), bool(request.get("loop", True)))
-        if not playback.occupied:
-            playback.occupy(True)
+        playback.occupied = True
         return {"epoch_ns": epoch_ns, "frames": playback.frames, "fps": playback.fps}
 
     def _hold(self, request: Request) -> Request:
