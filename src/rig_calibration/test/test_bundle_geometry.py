@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, project, rotation
 
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rigid import transform
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.bundle.initial_poses import require_connected
-from rig_calibration.bundle.problem import detection_poses, target_shape
+from rig_calibration.bundle.problem import DetectionPoses, TargetShape, poses_of, target_shape
 from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
 
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
@@ -95,6 +96,10 @@ def test_derivatives_match_central_differences(fisheye):
 # --- poses of one picture ---------------------------------------------------------------------------------------------
 
 
+def detection_poses(detection: TargetDetection, camera: CameraModel, shape: TargetShape) -> DetectionPoses | None:
+    return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
+
+
 def seen_once(T_world_target: np.ndarray, points: np.ndarray, ids: np.ndarray | None = None) -> TargetDetection:
     ids = np.arange(len(points)) if ids is None else ids
     pixels = project(camera_at("cam01", (3, 0, 2)), T_world_target, points[ids])
@@ -138,11 +143,11 @@ def test_no_pose_from_three_corners_or_a_row_of_them(ids: list[int]):
     assert detection_poses(detection, camera_at("cam01", (3, 0, 2)), target_shape("", BOARD.corners_board)) is None
 
 
-def test_turned_points_lie_on_the_points_of_the_permutation():
-    shape = target_shape("", Checkerboard(8, 6, (0.1, 0.1)).corners_board, 2)
-    for symmetry in shape.symmetries:
-        np.testing.assert_allclose(shape.points @ symmetry.R.T, shape.points[symmetry.permutation], atol=1e-12)
-    assert shape.symmetries[1].permutation[0] == 47
+def test_turned_points_lie_on_the_points_in_reverse():
+    shape = target_shape("", Checkerboard(8, 6, (0.1, 0.1)).corners_board, looks_alike=True)
+    for way, R in enumerate(shape.ways):
+        np.testing.assert_allclose(shape.points @ R.T, shape.points[shape.numbered(np.arange(48), way)], atol=1e-12)
+    assert len(shape.ways) == 2
 
 
 def test_cameras_without_common_view_are_named_by_group():

@@ -12,8 +12,7 @@ from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.extrinsics.board_frames import average_still_board, frames_on_floor
-from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, RigCalibration, Target, calibrate_rig
-from rig_calibration.extrinsics.verdict import TapeMeasure
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, RigCalibration, TapeMeasure, Target, calibrate_rig
 from rig_calibration.extrinsics.world import WorldChoice
 
 TARGETS = {FLOOR: Target.of(made.FLOOR_BOARD, WorldChoice()), MOVING: Target.of(made.CARRIED_BOARD)}
@@ -25,7 +24,7 @@ def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = made
     """Fifteen frames of the board on the floor, averaged."""
     seen = made.see_all(cameras, board, [made.on_floor(board)] * FRAMES, FLOOR)
     return [
-        average_still_board([s for s in seen if s.camera == name], board)[0]
+        average_still_board([s for s in seen if s.camera == name], board)
         for name in cameras
         if any(s.camera == name for s in seen)
     ]
@@ -81,9 +80,6 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
         assert figures.height_m == pytest.approx(place[2], abs=0.005)
         assert figures.distance_m == pytest.approx(distance, abs=0.01)
         assert figures.mm_per_px == pytest.approx(1e3 * distance / 600.3, rel=0.01)
-        assert figures.floor_angle_deg == pytest.approx(
-            np.rad2deg(np.arccos(place[2] / np.linalg.norm(place))), abs=0.3
-        )
 
 
 def test_floor_board_alone_places_all_cameras_within_their_uncertainty(room: dict[str, CameraModel]) -> None:
@@ -97,7 +93,6 @@ def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(roo
     without = [detection for detection in floor_detections(room) if detection.camera != "cam02"]
     calibrated = calibrate_rig(room, without + carried_detections(room), TARGETS)
     assert made.pose_errors(calibrated.rig.camera("cam02"), room["cam02"])[0] < 8.0
-    assert calibrated.figures["cam02"].floor_angle_deg is None
 
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
@@ -158,14 +153,13 @@ def test_floor_board_that_is_too_small_or_mirrored_is_redo(mirrored: bool) -> No
     if mirrored:
         seen = [replace(s, ids=s.ids.reshape(4, 7)[:, ::-1].ravel()) for s in seen]
     said = findings(calibrate_rig(cameras, seen, {FLOOR: Target.of(board, WorldChoice())}))
-    assert ("redo: cam01 comes to lie" if mirrored else "redo: two poses of cam0 fit the floor") in said
+    assert ("redo: cam01 comes to lie" if mirrored else "redo: the place of cam0 is known to") in said
 
 
 def test_carried_board_laid_down_at_the_end_gives_the_floor(room: dict[str, CameraModel]) -> None:
     poses = [*made.carried_poses(50), *[made.on_floor(made.CARRIED_BOARD, 0.2, 0.1)] * 5]
     moving = made.see_all(room, made.CARRIED_BOARD, poses, MOVING)
-    lying = frames_on_floor(room, moving, made.CARRIED_BOARD, "lowest")
-    assert lying == frames_on_floor(room, moving, made.CARRIED_BOARD, "last") == tuple(range(50, 55))
+    assert frames_on_floor(room, moving, made.CARRIED_BOARD, "lowest") == tuple(range(50, 55))
 
 
 def test_without_a_floor_distances_are_right_and_the_verdict_says_what_is_missing(room: dict[str, CameraModel]) -> None:
@@ -174,14 +168,6 @@ def test_without_a_floor_distances_are_right_and_the_verdict_says_what_is_missin
     truth = np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world)
     assert np.linalg.norm(one - other) == pytest.approx(truth, abs=0.005)
     assert calibrated.verdict.grade == USABLE and "heights and the vertical are guesses" in findings(calibrated)
-
-
-def test_floor_that_was_guessed_from_a_single_frame_is_said_to_be_a_guess(room: dict[str, CameraModel]) -> None:
-    detections = floor_detections(room) + carried_detections(room, 30)
-    resting = calibrate_rig(room, detections, TARGETS, floor_guess=(30, 31, 32, 33))
-    guessed = calibrate_rig(room, detections, TARGETS, floor_guess=(12,))
-    assert resting.verdict.grade == GOOD and guessed.verdict.grade == USABLE
-    assert "taken from frame 12" in findings(guessed) and "--floor-at" in findings(guessed)
 
 
 def test_tape_measure_of_an_unknown_camera_or_a_useless_length_is_refused(whole: RigCalibration) -> None:

@@ -42,9 +42,8 @@ def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_fr
     frames[4].pixels[7] += [9.0, -4.0]  # one corner on a finger
     frames[6] = replace(frames[6], ids=frames[6].ids[9:], pixels=frames[6].pixels[9:])  # an arm
     frames += [seen(moved, frame) for frame in (12, 13)]
-    still, moved_frames = average_still_board(frames[::-1], BOARD)
+    still = average_still_board(frames[::-1], BOARD)
     errors = still.pixels - truth
-    assert moved_frames == (12, 13)
     assert np.sqrt((errors**2).mean()) < 1.2 * made.NOISE_PX / np.sqrt(12)
     assert np.abs(errors[7]).max() < 4 * made.NOISE_PX / np.sqrt(11)
     assert still.target == "floor" and made.NOISE_PX / np.sqrt(12) < still.sigma_px < made.NOISE_PX / 2
@@ -55,8 +54,7 @@ def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one
     camera = at_angle(50.0)
     frames = [seen(camera, frame, board=board) for frame in range(4)]
     frames[2] = replace(frames[2], ids=frames[2].ids[::-1].copy())
-    still, moved_frames = average_still_board(frames, board)
-    assert moved_frames == ()
+    still = average_still_board(frames, board)
     assert np.abs(still.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * made.NOISE_PX / 2
 
 
@@ -68,11 +66,10 @@ def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one
     [
         (WorldChoice(thickness_m=0.005), [0.36, -0.18, 0.0], [0.0, 0.0, 0.005]),
         (WorldChoice(thickness_m=0.005), [0.48, -0.18, 0.0], [0.12, 0.0, 0.005]),
-        (WorldChoice("first-corner"), [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
         (WorldChoice((0.12, -0.24)), [0.12, -0.24, 0.0], [0.0, 0.0, 0.0]),
-        (WorldChoice("first-corner", heading=np.pi / 2), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]),
+        (WorldChoice((0.0, 0.0), heading=np.pi / 2), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]),
     ],
-    ids=["the board's middle", "x along the rows", "first corner", "any place", "heading counterclockwise"],
+    ids=["the board's middle", "x along the rows", "any place", "heading counterclockwise"],
 )
 def test_world_lies_on_the_floor_board_as_it_is_asked_for(choice, point_board, point_world) -> None:
     T = board_in_world(made.FLOOR_BOARD.corners_board, choice)

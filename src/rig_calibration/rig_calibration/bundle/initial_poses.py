@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
@@ -93,13 +93,12 @@ def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> 
 
 @dataclass(frozen=True, eq=False)
 class InitialPoses:
-    """First poses in the frame of camera ``root``; ``symmetries`` says, view by view, which hidden turn its
-    ids need."""
+    """First poses in the frame of camera ``root``; ``ways``: view by view, which way round it lies."""
 
     root: str
     T_camera_root: dict[str, Array]
     T_root_target: dict[PoseKey, Array]
-    symmetries: tuple[int, ...]
+    ways: tuple[int, ...]
 
 
 def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
@@ -107,14 +106,17 @@ def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> 
     pairs = relative_poses(cameras, views)
     root, T_camera_root = poses_along_spanning_tree(sorted(cameras), pairs)
     T_root_target: dict[PoseKey, Array] = {}
-    symmetries = dict.fromkeys(range(len(views)), 0)
-    for key, rows in _rows_by_key(views).items():
+    ways = dict.fromkeys(range(len(views)), 0)
+    rows_by_key: dict[PoseKey, list[int]] = {}
+    for row, view in enumerate(views):
+        rows_by_key.setdefault(view.key, []).append(row)
+    for key, rows in rows_by_key.items():
         find = line_pose if views[rows[0]].shape.dimension == LINE else _vote
         pose, found = find([(views[i], T_camera_root[views[i].detection.camera]) for i in rows])
         if pose is not None:
             T_root_target[key] = pose
-            symmetries.update(zip(rows, found, strict=True))
-    return InitialPoses(root, T_camera_root, T_root_target, tuple(symmetries[i] for i in range(len(views))))
+            ways.update(zip(rows, found, strict=True))
+    return InitialPoses(root, T_camera_root, T_root_target, tuple(ways.values()))
 
 
 def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
@@ -161,24 +163,12 @@ def poses_along_spanning_tree(
     return root, T_camera_root
 
 
-def with_symmetry(view: View, symmetry: int) -> TargetDetection:
-    """Renumber the detection with the ids that its turn calls for."""
-    return replace(view.detection, ids=view.shape.symmetries[symmetry].permutation[view.detection.ids])
-
-
-def _rows_by_key(views: Sequence[View]) -> dict[PoseKey, list[int]]:
-    rows: dict[PoseKey, list[int]] = {}
-    for index, view in enumerate(views):
-        rows.setdefault(view.key, []).append(index)
-    return rows
-
-
 def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
     """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
     voting = np.unique(np.linspace(0, len(common) - 1, VOTING_FRAMES).round().astype(np.int64))
     observed = []
     for a, b in (common[index] for index in voting):
-        own = a.symmetry == 0  # only the turn of one against the other matters
+        own = a.way == 0  # only the turn of one against the other matters
         T_b_a = transform(b.R, b.t) @ inverse(transform(a.R[own], a.t[own]))[:, None]
         weight, distance = a.weight[own, None] * b.weight, np.linalg.norm(b.t, axis=1)
         observed.append(_Allowed(T_b_a.reshape(-1, 4, 4), weight.ravel(), np.tile(distance, own.sum())))
@@ -187,18 +177,18 @@ def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> R
 
 
 def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
-    """Return the pose of one target in one frame that its views agree on best, and the turn that each view needs."""
+    """Return the pose of a target in a frame that its views agree on best, and which way round each view shows it."""
     observed = []
     for view, T_camera_root in seen:
         if (poses := view.poses) is not None:
-            weight = poses.weight * (1 - 1e-6 * (poses.symmetry > 0))  # of two alike, the numbering as it is
+            weight = poses.weight * (1 - 1e-6 * poses.way)  # of two alike, the numbering as it is
             T_root_target = inverse(T_camera_root) @ transform(poses.R, poses.t)
             observed.append(_Allowed(T_root_target, weight, np.linalg.norm(poses.t, axis=1)))
     if not observed:
         return None, [0] * len(seen)
     T, _, rows = _consensus(observed)
     chosen = iter(rows)
-    return T, [0 if view.poses is None else int(view.poses.symmetry[next(chosen)]) for view, _ in seen]
+    return T, [0 if view.poses is None else int(view.poses.way[next(chosen)]) for view, _ in seen]
 
 
 class _Allowed(NamedTuple):

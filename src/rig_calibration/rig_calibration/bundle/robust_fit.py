@@ -34,7 +34,7 @@ from .adjustment import (
     shared_of,
     step,
 )
-from .initial_poses import InitialPoses, most_seen, with_symmetry
+from .initial_poses import InitialPoses, most_seen
 from .problem import LINE, Problem, View
 from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import Covariance, covariance, displacement_of, whitened
@@ -122,10 +122,13 @@ class Fit:
         return robust_rows(self.state, self.used.weighted(np.array(1 / self.scale)))
 
 
-def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, refine_intrinsics: bool = False) -> Fit:
+def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
     """Make the first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
     keys, names, targets = problem.keys, list(problem.cameras), list(problem.shapes)
-    detections = tuple(with_symmetry(view, symmetry) for view, symmetry in zip(views, initial.symmetries, strict=True))
+    detections = tuple(
+        replace(view.detection, ids=view.shape.numbered(view.detection.ids, way))
+        for view, way in zip(views, initial.ways, strict=True)
+    )
     seen = observe(detections, names, keys, problem.shapes)
     state = _first_state(problem, initial)
     placed = np.array([key in initial.T_root_target for key in keys])[seen.pose]
@@ -139,9 +142,6 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, re
     layout = state.layout
     sd = np.full(layout.size, np.inf)
     sd[layout.scales[np.array(targets) != most_seen(problem.detections, targets)]] = SIZE_SD
-    if refine_intrinsics:
-        for row, name in enumerate(names):
-            sd[layout.lens(row)] = np.where(problem.lens_sd[name] > 0, problem.lens_sd[name], np.inf)
     prior = Prior(shared_of(state), np.diag(sd**-2.0))
     rows = np.flatnonzero(keep)
     return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)

@@ -20,7 +20,7 @@ from capture_rig.rigid import transform
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN
 from ..bundle.initial_poses import initial_poses
-from ..bundle.problem import THIN, check_problem, detection_poses, shapes_of, views_of
+from ..bundle.problem import THIN, check_problem, poses_of, shapes_of, target_shape, views_of
 from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
@@ -110,8 +110,8 @@ def fit_lens(
 def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
     """Find (4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the
     one that fits better; None when the corners determine none."""
-    shape = shapes_of({"": board.corners_board}, {})[""]
-    poses = detection_poses(detection, camera, shape)
+    ideal = camera.ideal_points(detection.pixels)
+    poses = poses_of(detection.ids, ideal, camera, target_shape("", board.corners_board))
     return None if poses is None else transform(poses.R[0], poses.t[0])
 
 
@@ -119,7 +119,7 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
     """Return the focal length that explains the views' perspective best."""
     size = detections[0].image_size
     trials = [model.camera(detections[0].camera, share * max(size), size) for share in FOCAL_TRIALS]
-    shapes = shapes_of({detections[0].target: board.corners_board}, {})
+    shapes = shapes_of({detections[0].target: board.corners_board})
 
     def typical_misfit(camera: CameraModel) -> float:
         poses = [view.poses for view in views_of(detections, {camera.name: camera}, shapes)]
@@ -137,7 +137,7 @@ def _fit_from(
 ) -> Fit:
     """Return the solver's first state: poses by that lens, lens and warp free with their prior."""
     target = detections[0].target
-    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
+    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, (), {})
     views = views_of(problem.detections, problem.cameras, problem.shapes)
     fit = start_fit(problem, views, initial_poses(problem.cameras, views))
     focal_px = float(camera.K.diagonal()[:2].mean())

@@ -37,7 +37,6 @@ CAMERA_FIGURES = (
     ("mm/px", "mm_per_px", ".1f"),
     ("distance m", "distance_m", ".2f"),
     ("height m", "height_m", ".2f"),
-    ("floor board at deg", "floor_angle_deg", ".0f"),
     ("sd place mm", "sd_centre_mm", ".1f"),
     ("sd turn deg", "sd_rotation_deg", ".3f"),
 )
@@ -90,8 +89,6 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
         f"{common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
     )
     console.print(carried(calibrated.rig))
-    if (frames := calibrated.floor_guess) != ():
-        console.print(f"floor: the carried board in frames {', '.join(map(str, frames))}, where nothing was below it")
     for left in calibrated.solution.left_out[:5]:
         detection = left.detection
         console.print(f"left out: {detection.camera}, {detection.target}, frame {detection.frame_index}: {left.reason}")
@@ -147,9 +144,8 @@ def _table(figures: Mapping[str, CameraFigures]) -> Table:
     table.add_column("camera")
     for heading, _, _ in CAMERA_FIGURES:
         table.add_column(heading, justify="right")
-    for camera in figures.values():
-        values = [(getattr(camera, name), form) for _, name, form in CAMERA_FIGURES]
-        table.add_row(camera.name, *("never" if value is None else f"{value:{form}}" for value, form in values))
+    for camera, its in figures.items():
+        table.add_row(camera, *(f"{getattr(its, name):{form}}" for _, name, form in CAMERA_FIGURES))
     return table
 
 
