@@ -31,17 +31,6 @@ def test_corners_that_are_much_less_exact_than_sharp_are_suspicious():
     assert "board not flat" in said(found(shaken), "corners miss their places by")[0].remedy
 
 
-@pytest.mark.parametrize(
-    ("scale", "shift", "what"),
-    [((1.0, 1.06), (0.0, 0.0), "fx and fy differ by"), ((1.0, 1.0), (90.0, 0.0), "the principal point lies 9")],
-    ids=["fields not as given", "principal point far from the centre"],
-)
-def test_picture_that_is_stretched_or_cut_is_reported(scale, shift, what):
-    views = shown(lens(), 40, 0.1, seed=8, reach=0.6)
-    changed = [with_pixels(s, s.pixels * scale + np.array(shift)) for s in views]
-    assert said(found([s for s in changed if (s.pixels.max(axis=0) < (639, 479)).all()]), what)
-
-
 @pytest.fixture(scope="module")
 def result():
     detections = shown(lens(), 15, 0.2, seed=1)
@@ -63,10 +52,8 @@ def test_report_reads_back_with_values_deviations_and_what_was_left_out(result):
 
 def test_picture_shows_every_view_and_names_the_camera(result):
     figure = draw(result)
-    residuals, by_view, distortion = figure.axes
+    residuals, by_view = figure.axes
     assert "cam01" in figure.get_suptitle()
     assert len(by_view.patches) == len(result.views)
     assert {patch.get_height() for patch in by_view.patches} == {view.rms_px for view in result.views}
     assert "times larger" in residuals.get_title()
-    drawn = distortion.lines[2].get_xydata()  # towards the image's corner: barrel distortion draws inwards
-    assert drawn[-1, 1] < -5.0 and abs(drawn[0, 1]) < 1e-6

@@ -20,7 +20,7 @@ from capture_rig.rigid import transform
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN
 from ..bundle.initial_poses import initial_poses
-from ..bundle.problem import THIN, check_problem, poses_of, shapes_of, target_shape, views_of
+from ..bundle.problem import THIN, check_problem, shapes_of, views_of
 from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
@@ -107,14 +107,6 @@ def fit_lens(
     return _result_of(fit, model, board)
 
 
-def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
-    """Find (4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the
-    one that fits better; None when the corners determine none."""
-    ideal = camera.ideal_points(detection.pixels)
-    poses = poses_of(detection.ids, ideal, camera, target_shape("", board.corners_board))
-    return None if poses is None else transform(poses.R[0], poses.t[0])
-
-
 def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
     """Return the focal length that explains the views' perspective best."""
     size = detections[0].image_size
@@ -155,16 +147,14 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
     columns, count = model.columns, len(model.names)
     covariance = found.of_shared[columns[:, None], columns]
     sd = np.sqrt(np.diag(covariance)).tolist()
-    views = []
+    views, middle = [], board.corners_board.mean(axis=0)
     for detection, residuals, weight, row in zip(
         fit.detections, residuals_px(state, used), used.weight, used.pose, strict=True
     ):
         kept = np.flatnonzero(weight)  # in the order of the ids
+        corners = replace(detection, ids=detection.ids[kept], pixels=detection.pixels[kept])
         R = state.R_pose[row]
-        T_camera_board = transform(R, state.position[row] - R @ board.corners_board.mean(axis=0))
-        views.append(
-            ViewResult(detection, detection.ids[kept], detection.pixels[kept], residuals[kept], T_camera_board)
-        )
+        views.append(ViewResult(corners, residuals[kept], transform(R, state.position[row] - R @ middle)))
     camera = _camera_of(fit)
     return Intrinsics(
         camera=camera,
