@@ -89,16 +89,11 @@ def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:
     A board whose half turn is visible is laid so that the field up-left of the first corner is black; the others so
     that their rows run to the right in the image (which half turn is meant, one view does not tell).
     """
-    return max(possible_orders(grid, board), key=_runs_right, default=None)
-
-
-def possible_orders(grid: CornerGrid, board: Checkerboard) -> list[CornerGrid]:
-    """Read the grid from those of its four sides that give the board's size and, where they tell, its colours."""
     cut = (cut_to(turned(grid, turn), board.rows, board.columns) for turn in range(4))
     choices = [choice for choice in cut if choice is not None]
     if board.half_turn_is_visible or board.rows == board.columns:
         choices = [choice for choice in choices if is_black_first(choice)]
-    return choices
+    return max(choices, key=_runs_right, default=None)
 
 
 def _runs_right(grid: CornerGrid) -> tuple[float, float]:
