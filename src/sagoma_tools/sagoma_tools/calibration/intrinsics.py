@@ -44,7 +44,11 @@ def calibrate_footage(
     failures: list[InputError] = []
     for footage in open_footage_of_cameras(sources).values():
         try:
-            result = _calibrate_one(footage, board, model, console)
+            views = _collected(footage, board, "plumb_bob" if model == AUTO else model)
+            until_stopped()
+            seen = f"{views.examined} images, board found in {views.found}, {len(views)} views kept"
+            console.print(f"{footage.name}: {seen}")
+            result = calibrate_intrinsics(views.detections, board, name=footage.name, model=model)
             save_results(output, result, board, ", ".join(sources))
             results.append(result)
         except InputError as error:
@@ -55,13 +59,6 @@ def calibrate_footage(
         raise failures[-1]
     console.print(f"results in {output}")
     return results, failures
-
-
-def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Console) -> Intrinsics:
-    views = _collected(footage, board, "plumb_bob" if model == AUTO else model)
-    until_stopped()
-    console.print(f"{footage.name}: {views.examined} images, board found in {views.found}, {len(views)} views kept")
-    return calibrate_intrinsics(views.detections, board, name=footage.name, model=model)
 
 
 def _collected(footage: CameraFootage, board: Board, model: str) -> ViewCollector:
@@ -128,18 +125,14 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
 
 
 def remarks(result: Intrinsics) -> Iterable[str]:
-    """Findings, the choice of the lens model, and images and corners left out."""
+    """Findings, the choice of the lens model, and how many images and corners were left out."""
     yield from map(str, result.verdict.findings)
     if result.choice is not None:
         yield f"lens model {result.choice.model}: {result.choice.reason}"
-    whole = [entry for entry in result.left_out if entry.whole]
-    for entry in whole[:3]:
-        yield f"left out image {entry.detection.frame_index}: {entry.reason}"
-    if len(whole) > 3:
-        yield f"left out {len(whole) - 3} more images; see the report"
+    images = sum(entry.whole for entry in result.left_out)
     corners = sum(len(entry.corners) for entry in result.left_out)
-    if corners:
-        yield f"left out {corners} single corners; see the report"
+    if images or corners:
+        yield f"left out {images} images and {corners} single corners; see the report"
 
 
 def figures(result: Intrinsics) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import argparse
 import threading
 import time
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -80,14 +80,14 @@ def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argpar
     while not stop.is_set():
         camera.changed.wait(ROUND_S)
         camera.changed.clear()
-        shown, passed_s = camera.shown, time.monotonic() - begun_s
-        done(shown.line)
+        (line, views, enough), passed_s = camera.shown, time.monotonic() - begun_s
+        done(line)
         if camera.error is not None:
             raise camera.error
         if camera.received == 0 and passed_s > args.wait:
             raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
         over = args.seconds is not None and passed_s > args.seconds
-        if shown.enough or over or (args.views is not None and shown.views >= args.views):
+        if enough or over or (args.views is not None and views >= args.views):
             return
 
 
@@ -97,14 +97,6 @@ def _who_publishes(node: Node) -> str:
     )
     listed = f"Image topics there are: {', '.join(images)}" if images else "There is no image topic at all"
     return f"{listed}; start the camera client, and check ROS_DOMAIN_ID."
-
-
-class Shown(NamedTuple):
-    """The progress of collecting views, in a line; how many there are, and whether they suffice."""
-
-    line: str
-    views: int
-    enough: bool
 
 
 class LiveCamera:
@@ -156,8 +148,8 @@ class LiveCamera:
             self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
-        """Describe the progress, on the thread that makes it."""
-        self.shown = Shown(plain_line(self._collector, last), len(self._collector), self._collector.enough)
+        """Describe the progress, on the thread that makes it: a line, the number of views, whether they suffice."""
+        self.shown = plain_line(self._collector, last), len(self._collector), self._collector.enough
         self.changed.set()
 
 
@@ -200,17 +192,11 @@ def draw_preview(
         colour, radius = FOUND if reason else TAKEN, max(2, width // 200)
         for x, y in np.rint(detection.pixels).astype(int):
             cv2.circle(picture, (int(x), int(y)), radius, colour, max(1, radius // 2))
-    _write(picture, collector.advice() or "enough", 1)
-    _write(picture, reason or "taken", 2)
+    for line, text in enumerate((collector.advice() or "enough", reason or "taken"), 1):  # from the bottom
+        scale = TEXT_HEIGHT_SHARE * height / 22
+        needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
+        scale *= min(1.0, 0.97 * width / max(needed, 1))
+        place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
+        for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):  # readable on any background
+            cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)
     return picture
-
-
-def _write(picture: np.ndarray, text: str, line: int) -> None:
-    """Write a line of text, counted from the bottom, readable on any background."""
-    height, width = picture.shape[:2]
-    scale = TEXT_HEIGHT_SHARE * height / 22
-    needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
-    scale *= min(1.0, 0.97 * width / max(needed, 1))
-    place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
-    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)

@@ -75,8 +75,8 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     left_out = len(calibrated.solution.left_out)
     console.print(f"rms of all corners {calibrated.rms_px:.2f} px; {left_out} detections left out (see the report)")
     console.print(
-        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {common.enough} cameras or more see a standing person "
-        f"on {common.floor_m2[common.enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
+        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {common.enough} cameras or more see a standing person"
+        f" on {common.floor_m2[common.enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
     )
     console.print(carried(calibrated.rig))
     for check in calibrated.tape:
