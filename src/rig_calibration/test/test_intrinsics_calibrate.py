@@ -149,7 +149,7 @@ def test_wrong_corners_are_left_out_and_named_half_of_a_board_with_its_view(view
     detections[view] = with_pixels(detections[view], pixels)
     result = found(detections)
     assert [(entry.detection.frame_index, entry.corners) for entry in result.left_out] == [(view, left_out)]
-    assert left_out or "where the other views' lens puts them" in result.left_out[0].reason
+    assert left_out or "do not fit the target's shape" in result.left_out[0].reason
     assert sum(len(kept.detection) for kept in result.views) == 20 * 54 - (len(left_out) or 54)
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from capture_rig.lens import Array
 
 from .lattice import HALF
-from .x_corner import XCorners, fit_x_corners
+from .x_corner import fit_x_corners
 
 # --- Arithmetic on grids.
 
@@ -106,7 +106,7 @@ MIN_FOUND = 0.7  # of a board's corners; a line of which more is found is a boar
 @dataclass(frozen=True, eq=False)
 class CornerGrid:
     """A pattern of any size: ``values`` (rows, columns, 6), NaN where there is no corner: its place in pixels (2),
-    contrast, standard deviation and blur (2), as :class:`XCorners` has them."""
+    contrast, standard deviation and blur (2), as :func:`fit_x_corners` gives them."""
 
     values: Array
 
@@ -151,13 +151,15 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
     shows."""
     along, down = steps(expected)
     wanted = ~known.found & np.all(np.isfinite(np.dstack([expected, along, down])), axis=2)
-    corners = fit_x_corners(image, expected[wanted], along[wanted], down[wanted], marker_margin=marker_margin)
-    good = _is_good(corners, expected[wanted], along[wanted], down[wanted])
+    places, along, down = expected[wanted], along[wanted], down[wanted]
+    corners, explained = fit_x_corners(image, places, along, down, marker_margin=marker_margin)
+    side = np.minimum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
+    near = np.linalg.norm(corners[:, :2] - places, axis=1) < np.maximum(HALF * side, 1.0)
     values, kept = known.values.copy(), known.found
-    values[wanted] = np.column_stack([corners.pixels, corners.contrast, corners.sd_px, corners.blur_px])
-    kept[wanted] = good
-    kept &= _has_right_colour(values[:, :, 2], kept)
-    values[~kept] = np.nan
+    values[wanted], kept[wanted] = corners, explained & near
+    # colours change from corner to corner; the majority says which way round
+    signs = np.where(kept, np.sign(values[:, :, 2]) * parity(kept.shape), 0)
+    values[signs * (1.0 if signs.sum() >= 0 else -1.0) <= 0] = np.nan
     return CornerGrid(values)
 
 
@@ -195,16 +197,3 @@ def turned(grid: CornerGrid, quarter_turns: int) -> CornerGrid:
 def is_black_first(grid: CornerGrid) -> bool:
     """Tell whether the field up-left of the first corner is black."""
     return float(np.nansum(grid.contrast * parity(grid.contrast.shape))) < 0
-
-
-def _is_good(corners: XCorners, expected: Array, along: Array, down: Array) -> npt.NDArray[np.bool_]:
-    """Explained by the model, and near where it was expected."""
-    side = np.minimum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
-    near = np.linalg.norm(corners.pixels - expected, axis=1) < np.maximum(HALF * side, 1.0)
-    return (corners.fit > HALF) & (corners.quadrant_similarity > HALF) & near
-
-
-def _has_right_colour(contrast: Array, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Colours change from corner to corner; the majority says which way round."""
-    signs = np.where(kept, np.sign(contrast) * parity(contrast.shape), 0)
-    return signs * (1.0 if signs.sum() >= 0 else -1.0) > 0

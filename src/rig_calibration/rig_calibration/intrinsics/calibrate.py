@@ -18,10 +18,9 @@ from capture_rig.lens import COEFFICIENTS, Array
 from capture_rig.rigid import transform
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.adjustment import RAYLEIGH_MEDIAN
 from ..bundle.initial_poses import initial_poses
 from ..bundle.problem import THIN, check_problem, shapes_of, views_of
-from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
+from ..bundle.robust_fit import Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
 from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult
@@ -147,6 +146,8 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
     columns, count = model.columns, len(model.names)
     covariance = found.of_shared[columns[:, None], columns]
     sd = np.sqrt(np.diag(covariance)).tolist()
+    gone = {out.detection.frame_index for out in fit.left_out if out.whole}
+    left_out = [out for out in fit.left_out if out.whole or out.detection.frame_index not in gone]
     views, middle = [], board.corners_board.mean(axis=0)
     for detection, residuals, weight, row in zip(
         fit.detections, residuals_px(state, used), used.weight, used.pose, strict=True
@@ -166,28 +167,9 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
         warp_m=tuple(state.board_warp[0].tolist()),
         warp_sd_m=tuple(sd[count:]),
         views=tuple(views),
-        left_out=_left_out(fit, sigma_px),
+        left_out=tuple(sorted(left_out, key=lambda out: out.detection.frame_index)),
         edge_sd_px=edge_sd_px(camera, covariance[:count, :count]),
     )
-
-
-def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
-    """Views left out, with how far their corners lie off, and single corners of those that were kept."""
-    kept = {detection.frame_index for detection in fit.detections}
-    away = np.linalg.norm(residuals_px(fit.state, fit.seen), axis=2)
-    off = {d.frame_index: float(np.median(away[row, : len(d)])) for row, d in enumerate(fit.all_detections)}
-    named = []
-    for out in fit.left_out:
-        frame = out.detection.frame_index
-        if out.whole and out.reason != NO_POSE:
-            reason = (
-                f"its corners lie {off[frame]:.1f} px from where the other views' lens puts them, "
-                f"against {RAYLEIGH_MEDIAN * sigma_px:.2f} px elsewhere"
-            )
-            named.append(replace(out, reason=reason))
-        elif out.whole or frame in kept:
-            named.append(out)
-    return tuple(sorted(named, key=lambda out: out.detection.frame_index))
 
 
 # --- Which detections can be used.
