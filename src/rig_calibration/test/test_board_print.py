@@ -11,7 +11,7 @@ import pytest
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import CharucoBoard, Checkerboard, board_text, opencv_board, read_board
-from rig_calibration.boards.drawing import black_rectangles, draw_board, print_size_m, save_for_print
+from rig_calibration.boards.drawing import draw_board, save_for_print
 
 
 @pytest.mark.parametrize(
@@ -66,13 +66,6 @@ def test_unusable_text_or_file_is_refused_with_what_is_wrong_and_a_remedy(tmp_pa
     with pytest.raises(InputError, match=says) as refusal:
         read_board(where)
     assert refusal.value.remedy and where in str(refusal.value)
-
-
-@pytest.mark.parametrize(("columns", "rows", "visible"), [(9, 6, True), (9, 7, False), (8, 6, False), (5, 4, True)])
-def test_half_turn_is_visible_where_the_opposite_outer_fields_differ(columns, rows, visible):
-    colour_first, colour_last = 0 % 2, (columns + rows) % 2  # of the outer fields at (0, 0) and (rows, columns)
-    assert (colour_first != colour_last) == visible
-    assert Checkerboard(columns, rows, (0.02, 0.02)).half_turn_is_visible == visible
 
 
 # --- on paper ---------------------------------------------------------------------------------------------------------
@@ -177,11 +170,6 @@ def test_picture_says_where_the_board_s_corners_lie():
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4),
     )
     np.testing.assert_allclose(refined.reshape(-1, 2), corners, atol=0.1)  # of cornerSubPix itself
-
-
-def test_black_covers_half_of_a_board_with_an_even_number_of_fields():
-    width, height = print_size_m(CHECKERBOARD)
-    assert sum(w * h for _, _, w, h in black_rectangles(CHECKERBOARD)) == pytest.approx(0.5 * width * height)
 
 
 @pytest.mark.parametrize(

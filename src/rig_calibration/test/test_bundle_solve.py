@@ -138,14 +138,3 @@ def test_detections_that_do_not_fit_are_named(size: tuple[int, int], said: str):
     detection = TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), size, "moving")
     with pytest.raises(InputError, match=said):
         solve_rig(studio.ring(3), [detection], studio.TARGETS)
-
-
-def test_reference_that_was_not_seen_is_refused():
-    cameras = studio.ring(3)
-    with pytest.raises(InputError, match="'ceiling' in frame 0, was not seen"):
-        solve_rig(
-            cameras,
-            studio.carried_and_floor(cameras, np.random.default_rng(0), 8),
-            studio.TARGETS,
-            reference=("ceiling", 0),
-        )

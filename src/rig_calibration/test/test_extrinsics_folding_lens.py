@@ -4,12 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_studio import waved
 from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, circle, on_floor, pose_errors, see_all
 
-from rig_calibration.boards.board import TargetDetection
-from rig_calibration.boards.wand import WAND, wand_points
-from rig_calibration.bundle.solve import solve_rig
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, Target, calibrate_rig
 from rig_calibration.extrinsics.world import WorldChoice
 
@@ -75,19 +71,3 @@ def test_camera_that_sees_the_board_only_in_a_folded_corner_is_named():
     detections = [d if d.camera != "cam04" else replace(d, pixels=corner[: len(d)]) for d in of_boards(rig)]
     with pytest.raises(ValueError, match="cam04"):
         calibrated(rig, detections)
-
-
-def test_wand_places_folding_lenses_to_each_other():
-    rig, detections = cameras(), []
-    for frame, T in waved(np.random.default_rng(5), 80).items():
-        for camera in rig.values():
-            pixels = camera.project(wand_points(MARKS) @ T[:3, :3].T + T[:3, 3])
-            if ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all():  # NaN is not
-                noisy = pixels + NOISE_PX * np.random.default_rng([frame, *camera.name.encode()]).normal(size=(3, 2))
-                detections.append(TargetDetection(camera.name, frame, np.arange(3), noisy, SIZE, WAND, NOISE_PX))
-    solution = solve_rig(rig, detections, {WAND: wand_points(MARKS)})
-    first = {"found": solution.T_camera_reference["cam01"], "true": rig["cam01"].T_camera_world}
-    for name, camera in rig.items():
-        T = camera.T_camera_world @ np.linalg.inv(first["true"])
-        found = solution.T_camera_reference[name] @ np.linalg.inv(first["found"])
-        assert np.linalg.norm(found[:3, :3].T @ found[:3, 3] - T[:3, :3].T @ T[:3, 3]) < 0.01

@@ -13,7 +13,7 @@ from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.extrinsics import board_frames
 from rig_calibration.extrinsics.board_frames import average_still_board
-from rig_calibration.extrinsics.world import WorldChoice, board_in_world, common_volume, world_of_level_camera
+from rig_calibration.extrinsics.world import WorldChoice, board_in_world, common_volume
 
 BOARD = Checkerboard(9, 6, (0.1, 0.1))
 MIDDLE_BOARD = np.array([0.4, -0.25, 0.0])
@@ -76,13 +76,6 @@ def test_world_lies_on_the_floor_board_as_it_is_asked_for(choice, point_board, p
     assert T[:3, :3] @ point_board + T[:3, 3] == pytest.approx(point_world, abs=1e-12)
 
 
-def test_level_camera_looks_along_world_x_with_z_up() -> None:
-    T = world_of_level_camera(np.eye(4))
-    assert T[:3, :3] @ [0.0, 0.0, 1.0] == pytest.approx([1.0, 0.0, 0.0])
-    assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([0.0, 0.0, -1.0]), "the image's down is down"
-    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
-
-
 def ceiling_camera(name: str, x: float, y: float) -> CameraModel:
     """Looks straight down from 3 m, with a square view of 90 degrees: at height z it sees |x|, |y| < 3 - z."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -136,14 +129,6 @@ def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
     assert board_frames.resting_around(detections, 5) == (4, 5, 6)
     with pytest.raises(InputError, match="no camera shows the board in frame 77"):
         board_frames.resting_around(detections, 77)
-
-
-def test_chosen_frames_are_shared_and_evenly_spread() -> None:
-    detections = made.see_all(made.circle(4), made.CARRIED_BOARD, made.carried_poses(90), "moving")
-    every, some = board_frames.shared_frames(detections[::-1]), board_frames.shared_frames(detections, most=30)
-    cameras = {frame: {s.camera for s in detections if s.frame_index == frame} for frame in range(90)}
-    assert every == tuple(frame for frame, names in cameras.items() if len(names) > 1)
-    assert 15 < len(some) <= 30 and set(some) < set(every)
 
 
 # --- while the board is carried ---------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 from intrinsics_views import BOARD, errors_in_sds, found, lens, lens_errors, said, shown, with_pixels
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import CharucoBoard, Checkerboard
+from rig_calibration.boards.board import Checkerboard
 
 RATIONAL = (0.3, -0.05, 3e-4, -2e-4, 0.01, 0.5, 0.02, 0.01)
 
@@ -81,15 +81,6 @@ def test_errors_lie_where_the_standard_deviations_say(kind):
     assert np.abs(off).max() < 4.0
 
 
-def test_errors_that_views_share_enlarge_the_standard_deviations():
-    camera, rng = lens(), np.random.default_rng(5)
-    white = shown(camera, 20, 0.2, seed=5)
-    together = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 2.5, (2, 2))) for s in white]
-    enlarged = found(together)
-    assert enlarged.sd_enlarged_by > 1.2 * found(white).sd_enlarged_by
-    assert np.abs(errors_in_sds(enlarged, camera)).max() < 4.0
-
-
 def _bend(pixels):
     """(n, 2) smooth over the board."""
     return ((pixels - pixels.mean(axis=0)) / np.ptp(pixels)) ** 2
@@ -102,15 +93,6 @@ def test_bent_board_is_measured_and_does_not_spoil_the_lens():
     assert result.warp_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.warp_m[1]) < 2e-4
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
     assert said(result, "bent along its rows")
-
-
-def test_partial_views_of_a_charuco_board_serve():
-    board, camera = CharucoBoard(11, 8, 0.03, 0.022, "DICT_5X5_100"), lens()
-    detections = shown(camera, 30, 0.2, seed=7, board=board, sizes=(0.6, 1.1), partial=True)
-    assert min(map(len, detections)) < 60
-    result = found(detections, board)
-    assert np.abs(errors_in_sds(result, camera)).max() < 3.0
-    assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.002)
 
 
 def test_same_detections_in_any_order_give_the_same_bytes():
@@ -154,16 +136,6 @@ def test_wrong_corners_are_left_out_and_named_half_of_a_board_with_its_view(view
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
 
 
-def test_board_upside_down_in_some_views_does_no_harm():
-    camera = lens()
-    detections = shown(camera, 20, 0.2, seed=3)
-    for i in (2, 5, 11):  # corners named as if the board had been turned by half a turn
-        detections[i] = replace(detections[i], ids=detections[i].ids[::-1].copy())
-    result = found(detections)
-    assert not result.left_out and result.verdict.grade != "redo"
-    assert np.abs(errors_in_sds(result, camera)).max() < 3.5
-
-
 def test_few_views_of_another_board_are_left_out():
     camera = lens()
     other = shown(camera, 4, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.030)))
@@ -171,18 +143,6 @@ def test_few_views_of_another_board_are_left_out():
     result = found(detections)
     assert {entry.detection.frame_index for entry in result.left_out if entry.whole} == {16, 17, 18, 19}
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
-
-
-def test_boards_mixed_half_and_half_are_no_calibration():
-    camera = lens()
-    other = shown(camera, 8, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.032)))
-    detections = shown(camera, 8, 0.2, seed=6) + [replace(s, frame_index=8 + s.frame_index) for s in other]
-    try:
-        verdict = found(detections).verdict
-    except InputError as refused:
-        assert "contradict each other" in str(refused)
-    else:
-        assert verdict.grade != "good" and verdict.findings
 
 
 def test_images_of_several_sizes_are_refused():

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from intrinsics_views import BOARD, found, lens, shown
 
-from capture_rig.errors import InputError
 from rig_calibration.intrinsics.lens_model import LensModel
 from rig_calibration.intrinsics.selection import ViewCollector, coverage_of, motion_px, view_of
 
@@ -48,14 +47,6 @@ def test_blurred_and_moving_boards_are_refused_with_the_reason(blur_px, motion_p
     collector = ViewCollector(BOARD, "cam01")
     view = replace(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px)
     assert said in collector.try_add(view, motion_px) and len(collector) == 0
-
-
-def test_image_of_another_size_is_refused():
-    views = shown(lens(), 2, 0.1, seed=2)
-    collector = ViewCollector(BOARD, "cam01")
-    collector.try_add(views[0])
-    with pytest.raises(InputError, match=r"several sizes: 640 x 480 .*, 1280 x 960 "):
-        collector.try_add(replace(views[1], image_size=(1280, 960)))
 
 
 def test_collecting_ends_when_lens_is_known_and_everything_covered():

@@ -125,12 +125,3 @@ def test_wide_lens_goes_on_as_lenses_do_where_no_board_was_seen(model):
     camera = DesignedLens(PROJECTIONS["between rectilinear and equidistant"], 112.0)
     result = calibrated(camera, 21, model, reach=0.6)
     assert result.camera.unused_share < 0.02 and np.nanmax(pixel_errors(result.camera, camera)) < 15.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("projection", PROJECTIONS)
-def test_rational_model_has_no_pole_beside_the_corners(projection):
-    camera = DesignedLens(PROJECTIONS[projection], 95.0)
-    for seed in (21, 22):
-        result = calibrated(camera, seed, "rational_polynomial")
-        assert np.nanmax(pixel_errors(result.camera, camera)) < 12.0
