@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, circle, on_floor, pose_errors, see_all
+from bundle_studio import ring
+from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, on_floor, pose_errors, see_all
 
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, Target, calibrate_rig
 from rig_calibration.extrinsics.world import WorldChoice
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 def cameras():
     K, D = np.array([[418.0, 0.0, 326.8], [0.0, 418.0, 239.4], [0.0, 0.0, 1.0]]), np.array([-0.4, 0.15, 0, 0, -0.03])
-    return {name: replace(c, width=644, height=486, K=K, D=D) for name, c in circle(4, 2.2).items()}
+    return {name: replace(c, width=644, height=486, K=K, D=D) for name, c in ring(4, 2.2, 1.8).items()}
 
 
 def of_boards(rig):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import extrinsics_room as made
 import numpy as np
 import pytest
-from bundle_studio import camera_at
+from bundle_studio import camera_at, ring
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -48,7 +48,7 @@ def findings(calibrated: RigCalibration) -> str:
 
 @pytest.fixture(scope="module")
 def room() -> dict[str, CameraModel]:
-    return made.circle(4)
+    return ring(4)
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +110,9 @@ def test_symmetric_floor_board_alone_is_no_calibration_of_several_cameras(room: 
 def test_floor_view_that_contradicts_the_rest_is_named_redo(room: dict[str, CameraModel]) -> None:
     """The board was turned by a quarter before cam03 took its picture."""
     seen = [detection for detection in floor_detections(room) if detection.camera != "cam03"]
-    moved = made.see(room["cam03"], made.FLOOR_BOARD, made.on_floor(made.FLOOR_BOARD, 0.1, 0.2, 0.7), FLOOR, 0)
-    assert moved is not None
-    calibrated = calibrate_rig(room, [*seen, moved, *carried_detections(room)], TARGETS)
+    lying = made.on_floor(made.FLOOR_BOARD, 0.1, 0.2, 0.7)
+    moved = made.see_all({"cam03": room["cam03"]}, made.FLOOR_BOARD, [lying], FLOOR)
+    calibrated = calibrate_rig(room, [*seen, *moved, *carried_detections(room)], TARGETS)
     assert made.pose_errors(calibrated.rig.camera("cam03"), room["cam03"])[0] < 8.0, "by the carried board"
     assert calibrated.verdict.grade == REDO
     assert "cam03 sees the floor board otherwise than the rest" in findings(calibrated)
@@ -123,7 +123,7 @@ def test_floor_board_that_is_too_small_or_mirrored_is_redo(mirrored: bool) -> No
     board = made.FLOOR_BOARD if mirrored else Checkerboard(4, 3, (0.05, 0.05))
     places = [np.array([x, -1.0, 5.0]) for x in (-0.5, 0.5)]
     high = {f"cam{i}": camera_at(f"cam{i}", place, np.zeros(3)) for i, place in enumerate(places)}
-    cameras = made.circle(3) if mirrored else high
+    cameras = ring(3) if mirrored else high
     seen = floor_detections(cameras, board)
     if mirrored:
         seen = [replace(s, ids=s.ids.reshape(4, 7)[:, ::-1].ravel()) for s in seen]

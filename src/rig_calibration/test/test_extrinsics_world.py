@@ -6,7 +6,7 @@ from dataclasses import replace
 import extrinsics_room as made
 import numpy as np
 import pytest
-from bundle_studio import camera_at
+from bundle_studio import camera_at, ring
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -30,9 +30,8 @@ def seen(
     camera: CameraModel, frame_index: int, noise_px: float = made.NOISE_PX, board: Checkerboard = BOARD
 ) -> TargetDetection:
     """What the camera sees of the board in a frame, with noise of that frame's own."""
-    detection = made.see(camera, board, np.eye(4), "", frame_index, noise_px)
-    assert detection is not None
-    return detection
+    (detection,) = made.see_all({"cam01": camera}, board, [np.eye(4)], "", noise_px, seed=frame_index)
+    return replace(detection, frame_index=frame_index)
 
 
 def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_frames_out() -> None:
@@ -107,17 +106,17 @@ def test_common_volume_says_when_nobody_can_stand_in_it() -> None:
 
 
 def test_carried_board_lies_on_the_floor_where_nothing_was_below_it() -> None:
-    poses = dict(enumerate(made.carried_poses(60)))
+    poses = dict(enumerate(made.carried_poses(60, seed=4)))
     lying = made.on_floor(made.CARRIED_BOARD, 0.3, -0.2, 0.5)
     poses |= {frame_index: lying for frame_index in range(60, 66)}
     poses[70] = made.on_floor(made.CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a frame
-    centres = [camera.centre_world for camera in made.circle(4).values()]
+    centres = [camera.centre_world for camera in ring(4).values()]
     assert board_frames.lying_frames(poses, made.CARRIED_BOARD.corners_board, centres) == (*range(60, 66), 70)
 
 
 def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> None:
     poses = dict(enumerate(made.carried_poses(60)))
-    centres = [camera.centre_world for camera in made.circle(4).values()]
+    centres = [camera.centre_world for camera in ring(4).values()]
     with pytest.raises(InputError, match="--floor-at"):
         board_frames.lying_frames(poses, made.CARRIED_BOARD.corners_board, centres)
 
@@ -125,7 +124,7 @@ def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> No
 def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
     lying = made.on_floor(made.CARRIED_BOARD)
     poses = [*made.carried_poses(4), lying, lying, lying, *made.carried_poses(3, seed=5)]
-    detections = made.see_all(made.circle(4), made.CARRIED_BOARD, poses, "moving", noise_px=0.1)
+    detections = made.see_all(ring(4), made.CARRIED_BOARD, poses, "moving", noise_px=0.1)
     assert board_frames.resting_around(detections, 5) == (4, 5, 6)
     with pytest.raises(InputError, match="no camera shows the board in frame 77"):
         board_frames.resting_around(detections, 77)
@@ -133,7 +132,7 @@ def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
 
 # --- while the board is carried ---------------------------------------------------------------------------------------
 
-CAMERAS = made.circle(3)
+CAMERAS = ring(3)
 DETECTIONS = made.see_all(CAMERAS, made.CARRIED_BOARD, made.carried_poses(400), "moving")
 
 
