@@ -136,15 +136,14 @@ def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) ->
     for view in views:
         by_camera[view.detection.camera][view.key] = view
     pairs = {}
-    for a in by_camera:
-        for b in (name for name in by_camera if name > a):
-            common = [(by_camera[a][key], by_camera[b][key]) for key in sorted(by_camera[a].keys() & by_camera[b])]
-            boards = [(u.poses, v.poses) for u, v in common if u.poses is not None and v.poses is not None]
-            lines = [(u, v) for u, v in common if u.shape.dimension == LINE]
-            found = [_relative_pose(boards)] if boards else []
-            found += [pose for pose in [relative_pose_of_line(lines, cameras[a], cameras[b])] if pose]
-            if found:
-                pairs[a, b] = max(found, key=lambda pose: pose.support)
+    for a, b in combinations(by_camera, 2):
+        common = [(by_camera[a][key], by_camera[b][key]) for key in sorted(by_camera[a].keys() & by_camera[b])]
+        boards = [(u.poses, v.poses) for u, v in common if u.poses is not None and v.poses is not None]
+        lines = [(u, v) for u, v in common if u.shape.dimension == LINE]
+        found = [_relative_pose(boards)] if boards else []
+        found += [pose for pose in [relative_pose_of_line(lines, cameras[a], cameras[b])] if pose]
+        if found:
+            pairs[a, b] = max(found, key=lambda pose: pose.support)
     return pairs
 
 

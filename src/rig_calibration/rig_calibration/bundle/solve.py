@@ -15,7 +15,7 @@ from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
 from .adjustment import FreeUnknowns, Prior, normal_equations, reduce, shared_of, step
-from .initial_poses import initial_poses, require_connected
+from .initial_poses import cameras_by_pose, initial_poses, require_connected
 from .problem import LINE, PoseKey, Problem, check_problem, views_of
 from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit
 from .state import State, camera_with, residuals_px
@@ -222,12 +222,7 @@ def _place(out: RejectedDetection) -> tuple[str, int, str]:
 
 
 def _undecided(fit: Fit) -> tuple[str, ...]:
-    """Cameras linked to the others by a single pose of a target whose turns cannot be seen."""
-    used = fit.used
-    shared = np.bincount(used.pose)[used.pose] > 1
-    links: dict[str, list[str]] = {name: [] for name in fit.problem.cameras}
-    for detection, linked in zip(fit.detections, shared, strict=True):
-        if linked:
-            links[detection.camera].append(detection.target)
-    hides = {name for name, shape in fit.problem.shapes.items() if len(shape.ways) > 1}
-    return tuple(name for name, targets in links.items() if len(targets) == 1 and targets[0] in hides)
+    """Cameras linked to the others by a single pose of a target that looks alike after half a turn."""
+    shared = [(target, names) for (target, _), names in cameras_by_pose(fit.detections).items() if len(names) > 1]
+    links = {name: [target for target, names in shared if name in names] for name in fit.problem.cameras}
+    return tuple(name for name, of in links.items() if len(of) == 1 and len(fit.problem.shapes[of[0]].ways) > 1)

@@ -182,8 +182,6 @@ def _distance(one: Array, other: Array) -> float:
 
 ENOUGH_SHARED = 12  # so many frames tie one camera to another
 ENOUGH_FRAMES = 40
-CELLS = 3  # an image is divided into so many cells along its width and along its height
-ENOUGH_CELLS = 5  # of these, a camera should have seen the board in so many
 
 
 def motion_advice(cameras: Sequence[str], detections: Sequence[TargetDetection]) -> tuple[int, str]:
@@ -197,12 +195,4 @@ def motion_advice(cameras: Sequence[str], detections: Sequence[TargetDetection])
         count = shared.get((one, other), 0)
         shown = f"share {count} of {ENOUGH_SHARED} frames" if count else "share no view"
         return frames, f"{one} and {other} {shown}: carry the board where both see it"
-    if frames < ENOUGH_FRAMES:
-        return frames, f"carry on: {frames} of {ENOUGH_FRAMES} frames"
-    cells: dict[str, set[tuple[int, ...]]] = {name: set() for name in sorted(cameras)}
-    for seen in detections:
-        cells[seen.camera].add(tuple((seen.pixels.mean(axis=0) / seen.image_size * CELLS).astype(int).tolist()))
-    poorest = min(cells, key=lambda name: len(cells[name]))
-    if len(cells[poorest]) < ENOUGH_CELLS:
-        return frames, f"carry the board to more places of {poorest}'s image: near and far, left and right"
-    return frames, ""
+    return frames, "" if frames >= ENOUGH_FRAMES else f"carry on: {frames} of {ENOUGH_FRAMES} frames"

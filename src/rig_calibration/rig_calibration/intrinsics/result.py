@@ -118,24 +118,21 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
             for axis, warp, sd in zip("xy", result.warp_m, result.warp_sd_m, strict=True)
         },
         **choice,
-        "views": [_view(view) for view in result.views],
-        "left_out": [_left_out(entry) for entry in result.left_out],
+        "views": [
+            {
+                "frame": view.detection.frame_index,
+                "corners": len(view.detection),
+                "rms_px": _short(view.rms_px),
+                "tilt_deg": _short(float(np.rad2deg(np.arccos(min(abs(view.T_camera_board[2, 2]), 1.0))))),
+                "distance_m": _short(float(np.linalg.norm(view.T_camera_board[:3, 3]))),
+            }
+            for view in result.views
+        ],
+        "left_out": [
+            {"frame": entry.detection.frame_index, "why": entry.reason, "corners": list(entry.corners)}
+            for entry in result.left_out
+        ],
     }
-
-
-def _view(view: ViewResult) -> dict[str, Any]:
-    return {
-        "frame": view.detection.frame_index,
-        "corners": len(view.detection),
-        "rms_px": _short(view.rms_px),
-        "tilt_deg": _short(float(np.rad2deg(np.arccos(min(abs(view.T_camera_board[2, 2]), 1.0))))),
-        "distance_m": _short(float(np.linalg.norm(view.T_camera_board[:3, 3]))),
-    }
-
-
-def _left_out(entry: RejectedDetection) -> dict[str, Any]:
-    what = {"frame": entry.detection.frame_index, "why": entry.reason}
-    return what if entry.whole else {**what, "corners": list(entry.corners)}
 
 
 def _short(value: float) -> float:
