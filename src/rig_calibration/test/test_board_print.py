@@ -5,7 +5,6 @@ import xml.etree.ElementTree as ElementTree
 import zlib
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -154,22 +153,6 @@ def test_charuco_is_drawn_as_opencv_draws_it(text):
     theirs = opencv_board(board).generateImage((board.columns * per_field, board.rows * per_field), marginSize=0)
     assert ours.shape == theirs.shape
     assert np.mean((ours > 127) != (theirs > 127)) < 0.01
-
-
-def test_picture_says_where_the_board_s_corners_lie():
-    picture = draw_board(CHECKERBOARD, 1013.0)
-    corners = cv2.perspectiveTransform(CHECKERBOARD.corners_board[None, :, :2], picture.T_pixel_board)[0]
-    x, y = corners[0]
-    assert picture.image[int(y) - 5, int(x) - 5] == 0 and picture.image[int(y) + 5, int(x) + 5] == 0
-    assert picture.image[int(y) - 5, int(x) + 5] == 255
-    refined = cv2.cornerSubPix(
-        picture.image,
-        corners.astype(np.float32).reshape(-1, 1, 2),
-        (5, 5),
-        (-1, -1),
-        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4),
-    )
-    np.testing.assert_allclose(refined.reshape(-1, 2), corners, atol=0.1)  # of cornerSubPix itself
 
 
 @pytest.mark.parametrize(

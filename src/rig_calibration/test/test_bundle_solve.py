@@ -127,14 +127,7 @@ def test_rig_is_found_when_each_pair_shares_views_but_nobody_sees_all():
     assert centre_mm < 15 and rotation_deg < 0.2
 
 
-@pytest.mark.parametrize(
-    ("size", "said"),
-    [
-        ((1920, 1080), "cam01: its images are 1920 x 1080 pixels, its intrinsics are for 640 x 480"),
-        (studio.SIZE, "cam02, cam03: no picture"),
-    ],
-)
-def test_detections_that_do_not_fit_are_named(size: tuple[int, int], said: str):
-    detection = TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), size, "moving")
-    with pytest.raises(InputError, match=said):
+def test_cameras_that_saw_nothing_are_named():
+    detection = TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), studio.SIZE, "moving")
+    with pytest.raises(InputError, match="cam02, cam03: no picture"):
         solve_rig(studio.ring(3), [detection], studio.TARGETS)

@@ -1,6 +1,7 @@
 """A camera's pose from a board on the floor; where the world lies on it; when a carried board lies on the floor, and
 what its carrier is told."""
 
+import re
 from dataclasses import replace
 
 import extrinsics_room as made
@@ -138,12 +139,12 @@ DETECTIONS = made.see_all(CAMERAS, made.CARRIED_BOARD, made.carried_poses(400), 
 
 def pair_only(one: str, other: str, count: int) -> list:
     """Detections of the first so many frames that both see, and nobody else's."""
-    seen = {m: {s.camera for s in DETECTIONS if s.frame_index == m} for m in range(400)}
-    shared_frames = [m for m, names in seen.items() if {one, other} <= names][:count]
-    return [s for s in DETECTIONS if s.frame_index in shared_frames and s.camera in (one, other)]
-
-
-PAIRS = [("cam01", "cam02"), ("cam02", "cam03"), ("cam01", "cam03")]
+    frames = sorted(
+        {s.frame_index for s in DETECTIONS if s.camera == one}.intersection(
+            s.frame_index for s in DETECTIONS if s.camera == other
+        )
+    )[:count]
+    return [s for s in DETECTIONS if s.frame_index in frames and s.camera in (one, other)]
 
 
 @pytest.mark.parametrize(
@@ -154,15 +155,11 @@ PAIRS = [("cam01", "cam02"), ("cam02", "cam03"), ("cam01", "cam03")]
             pair_only("cam01", "cam02", 30) + pair_only("cam02", "cam03", 3),
             "cam02 and cam03 share 3 of 12 frames: carry the board where both see it",
         ),
-        ([s for pair in PAIRS for s in pair_only(*pair, 12)], "carry on: "),
+        (pair_only("cam01", "cam02", 15) + pair_only("cam02", "cam03", 15), "carry on: "),
+        (DETECTIONS, "$"),
     ],
-    ids=["no common view", "too little in common", "few frames"],
+    ids=["no common view", "too little in common", "few frames", "enough"],
 )
 def test_what_is_missing_is_said(seen: list, advice: str) -> None:
     once = {(s.camera, s.frame_index): s for s in seen}
-    assert board_frames.motion_advice(tuple(CAMERAS), list(once.values()))[1].startswith(advice)
-
-
-def test_nothing_is_missing_when_all_cameras_share_many_frames_all_over_their_images() -> None:
-    frames, advice = board_frames.motion_advice(tuple(CAMERAS), DETECTIONS)
-    assert frames >= board_frames.ENOUGH_FRAMES and advice == ""
+    assert re.match(advice, board_frames.motion_advice(tuple(CAMERAS), list(once.values()))[1])

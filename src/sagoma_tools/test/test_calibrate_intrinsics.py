@@ -18,7 +18,7 @@ from rig_calibration.boards.board import Checkerboard
 from rig_calibration.intrinsics.selection import ViewCollector
 from sagoma_ros.images import decode_image, image_message
 from sagoma_ros.qos import RESULT
-from sagoma_tools.calibration.live_lens import camera_name_of, draw_preview, namespace_of, plain_line
+from sagoma_tools.calibration.live_lens import draw_preview, plain_line
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
 
@@ -159,11 +159,6 @@ def test_topic_without_images_is_named_with_those_there_are(shown, tmp_path, cap
         assert main(["calibrate", "intrinsics", *arguments]) == 2
     said = capsys.readouterr().err
     assert "/cam02/image_raw: no image came for 2 s" in said and "/cam01/image_raw" in said
-
-
-def test_names_come_from_the_topic():
-    assert camera_name_of("/cam01/image_raw") == camera_name_of("/cam01/image_raw/compressed") == "cam01"
-    assert namespace_of("/room/cam01/image_raw") == "/room/cam01" and camera_name_of("/image_raw") == "camera"
 
 
 def test_line_shows_progress_advice_and_the_last_reason(shown):
