@@ -6,7 +6,6 @@ A grid is (rows, columns, 2) pixels, NaN where a corner is not known.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +16,6 @@ from .lattice import HALF
 from .x_corner import fit_x_corners
 
 # --- Arithmetic on grids.
-
-CHI_SQUARE_MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of one degree of freedom
 
 
 def steps(pixels: Array) -> tuple[Array, Array]:
@@ -86,19 +83,6 @@ def _extrapolated(first: Array, second: Array, third: Array) -> Array:
     return np.where(np.isfinite(parabola), parabola, 2 * first - second)
 
 
-def scatter_px(pixels: Array) -> float:
-    """Estimate the standard deviation of a coordinate about smooth lines: the fourth differences along rows and
-    columns, which perspective and lens hardly reach (their variance is 70 times a coordinate's); 0 for lines too short
-    to tell."""
-    differences = []
-    for axis in (0, 1):
-        if pixels.shape[axis] > 4:
-            fourth = np.diff(pixels, 4, axis=axis)
-            differences.append(fourth[np.isfinite(fourth)])
-    squares = np.concatenate([*differences, np.zeros(0)]) ** 2
-    return float(np.sqrt(np.median(squares) / (70 * CHI_SQUARE_MEDIAN))) if len(squares) else 0.0
-
-
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_FOUND = 0.7  # of a board's corners; a line of which more is found is a board's own
 
@@ -129,10 +113,8 @@ class CornerGrid:
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of a coordinate: what the fits' residuals say, or the scatter of the corners about smooth
-        lines where that is larger (compression, interlacing, an uneven print)."""
-        from_fits = float(np.sqrt(np.nanmean(self.values[:, :, 3] ** 2)))
-        return max(from_fits, scatter_px(self.pixels))
+        """Standard deviation of a coordinate, as the fits' residuals say."""
+        return float(np.sqrt(np.nanmean(self.values[:, :, 3] ** 2)))
 
     @property
     def blur_px(self) -> float:

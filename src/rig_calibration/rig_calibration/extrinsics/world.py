@@ -88,13 +88,16 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
     """Find where at least three cameras see (all, of fewer), on a grid of 0.1 m around the point that their axes
     meet."""
     enough = min(ENOUGH_CAMERAS, len(cameras))
-    x, y = _floor_grid(cameras)
+    around = default_volume(tuple(cameras))
+    middle = np.round((around.low + around.high)[:2] / 2 / STEP_M) * STEP_M  # whole multiples of the step
+    offsets = np.arange(-MAX_SIDE_M / 2, MAX_SIDE_M / 2 + STEP_M / 2, STEP_M)
+    x, y = middle[0] + offsets, middle[1] + offsets
     seeing = _cameras_seeing(cameras, x, y)  # (levels, nx, ny)
     standing = seeing.min(axis=0)
     place = _largest_piece(standing >= enough)
     if not place.any():
         place = _largest_piece(seeing[np.searchsorted(LEVELS_M, 1.0)] >= enough)
-    box = _box(x, y, place) if place.any() else default_volume(tuple(cameras))
+    box = _box(x, y, place) if place.any() else around
     return CommonVolume(
         box=box,
         floor_m2=tuple(float((standing >= n).sum() * STEP_M**2) for n in range(1, len(cameras) + 1)),
@@ -103,14 +106,6 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
         y=y,
         standing=standing,
     )
-
-
-def _floor_grid(cameras: Sequence[CameraModel]) -> tuple[Array, Array]:
-    """Coordinates x (nx,) and y (ny,) of the columns that are asked, whole multiples of the step."""
-    box = default_volume(tuple(cameras))
-    middle = np.round((box.low + box.high)[:2] / 2 / STEP_M) * STEP_M
-    offsets = np.arange(-MAX_SIDE_M / 2, MAX_SIDE_M / 2 + STEP_M / 2, STEP_M)
-    return middle[0] + offsets, middle[1] + offsets
 
 
 def _cameras_seeing(cameras: Sequence[CameraModel], x: Array, y: Array) -> npt.NDArray[np.int64]:
