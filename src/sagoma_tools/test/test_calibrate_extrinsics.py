@@ -17,7 +17,6 @@ from calibration_room import (
 )
 from footage_clips import write_clip
 
-from capture_rig.errors import InputError
 from capture_rig.rig import load_rig, save_rig
 from rig_calibration.boards.board import Checkerboard
 from sagoma_tools.calibration.outer_corners import read_corners
@@ -208,19 +207,3 @@ def test_corners_file_gives_corners_with_or_without_a_frame(tmp_path):
     read = read_corners(path)
     assert read["cam02"].frame == 7 and read["cam01"].frame is None
     assert read["cam01"].pixels == pytest.approx(OUTER)
-
-
-@pytest.mark.parametrize(
-    "text, words",
-    [
-        ("cam01: [[1, 2], [3, 4], [5, 6]]", "is not four"),
-        ("cam01: [[1, 2], [3, 4], [5, 6], [7, left]]", "is not four"),
-        ("cam01: {corners: [[1, 2], [3, 4], [5, 6], [7, 8]], frame: -1}", "frame = -1"),
-        ("cam01: {pixels: [[1, 2], [3, 4], [5, 6], [7, 8]]}", "has the keys"),
-    ],
-)
-def test_corners_file_that_cannot_be_used_is_refused_naming_the_camera(tmp_path, text, words):
-    path = tmp_path / "corners.yaml"
-    path.write_text(text)
-    with pytest.raises(InputError, match=f"corners.yaml: cam01: .*{words}"):
-        read_corners(path)

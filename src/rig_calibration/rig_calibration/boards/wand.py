@@ -168,9 +168,10 @@ def find_blobs(image: np.ndarray, background: np.ndarray | None = None) -> Array
     mask = (bright > max(PEAK_SHARE * peak, MIN_CONTRAST / 2)).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask)
     lit = _with_rim(mask)
-    found = [
-        _measure(grey, bright, lit, labels == i, boxes[i]) for i in range(1, count) if _compact(boxes[i], mask.size)
-    ]
+    _, _, width, height, area = boxes.T
+    compact = (area >= MIN_AREA_PX) & (area <= MAX_AREA_SHARE * mask.size) & (area > 0.3 * width * height)
+    compact &= np.maximum(width, height) <= MAX_ELONGATION * np.minimum(width, height)
+    found = [_measure(grey, bright, lit, labels == i, boxes[i]) for i in range(1, count) if compact[i]]
     return np.array(sorted(found, key=lambda blob: -blob[2]), float).reshape(-1, 3)[:, :2]
 
 
@@ -201,15 +202,6 @@ def _above(grey: Grey, background: Grey | None) -> npt.NDArray[np.float32]:
 def _with_rim(mask: Grey) -> Grey:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
     return np.asarray(cv2.dilate(mask, disc), np.uint8)
-
-
-def _compact(box: np.ndarray, image_px: int) -> bool:
-    _, _, width, height, area = box
-    return bool(
-        MIN_AREA_PX <= area <= MAX_AREA_SHARE * image_px
-        and max(width, height) <= MAX_ELONGATION * min(width, height)
-        and area > 0.3 * width * height
-    )
 
 
 def _measure(

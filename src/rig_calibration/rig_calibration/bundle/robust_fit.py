@@ -44,6 +44,7 @@ DISPLACEMENT_ROUNDS = 8
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
+FAR_OFF = "these corners of it contradict the others"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
 SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
@@ -111,10 +112,9 @@ class Fit:
         return FreeUnknowns(shared, np.isin(np.arange(len(self.state.position)), self.seen.pose[self.rows]))
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
-        """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
-        known, layout = self.problem.lens_sd, self.state.layout
-        held = [row for row in range(layout.cameras) if not free.shared[layout.lens(row)].any()]
-        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known and row in held}
+        """Covariances in the gauge that ``free`` sets; lenses that are not adjusted are as uncertain as given."""
+        known = self.problem.lens_sd
+        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
         return covariance(self.state, self.scale, self.used, free, lenses, self.displacement_m, self.prior)
 
     def rows_at_solution(self) -> Linearised:
@@ -224,15 +224,10 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     weight = fit.seen.weight.copy()
     weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
     detections = fit.detections
-    far = np.linalg.norm(residuals_px(fit.state, fit.used), axis=2)
     named = [RejectedDetection(detections[row], reason) for row, reason in out]
     for row in np.flatnonzero(wrong.any(axis=1)):
         corners = detections[row].ids[np.flatnonzero(wrong[row])]
-        named.append(
-            RejectedDetection(
-                detections[row], f"up to {far[row][wrong[row]].max():.1f} px off", tuple(corners.tolist())
-            )
-        )
+        named.append(RejectedDetection(detections[row], FAR_OFF, tuple(corners.tolist())))
     rows = np.delete(fit.rows, [row for row, _ in out])
     return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
 

@@ -78,9 +78,8 @@ def solve_rig(
     poses' covariance.
 
     The same input gives the same result to the last bit, in whatever order detections and names come. Raises InputError
-    for detections without camera, target or fitting image size, for cameras that see nothing and for groups of cameras
-    that share no view (both also when nothing is left after contradictory detections were left out), and for a
-    reference that was not seen or contradicts the rest.
+    for detections of another image size, for cameras that see nothing and groups of cameras that share no view (both also
+    when nothing is left after contradictory detections were left out), and for a reference that contradicts the rest.
     """
     problem = check_problem(cameras, detections, targets, alike, intrinsics_sd or {})
     # 1. The pose of each target in each picture by itself: all solutions.
@@ -95,25 +94,14 @@ def solve_rig(
     fit = settled(start_fit(problem, views, initial))
     require_connected(problem.cameras, fit.detections, fit.reasons)
     # 6. The frame asked for, and the covariance in it.
-    row = _row_of(reference, fit)
+    row = None if reference is None else problem.keys.index(reference)
+    if row is not None and row not in fit.used.pose:
+        what = f"the reference, target '{problem.keys[row][0]}' in frame {problem.keys[row][1]}, contradicts the rest"
+        raise InputError(what, remedy="Take its pictures again.")
     return _solution(fit if row is None else _in_frame_of(row, fit), row)
 
 
 # --- The frame of the solution.
-
-
-def _row_of(reference: PoseKey | None, fit: Fit) -> int | None:
-    """Return the row of the pose that is the reference; InputError when it was not seen, or contradicts the rest."""
-    if reference is None:
-        return None
-    keys = fit.problem.keys
-    row = keys.index(reference) if reference in keys else -1
-    if row not in fit.used.pose:
-        raise InputError(
-            f"the reference, target '{reference[0]}' in frame {reference[1]}, was not seen or contradicts the rest",
-            remedy="Show it to a camera, or take its pictures again.",
-        )
-    return row
 
 
 def _in_frame_of(row: int, fit: Fit) -> Fit:

@@ -6,7 +6,7 @@ import argparse
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.console import Console
 
@@ -20,12 +20,16 @@ from rig_calibration.extrinsics.calibrate import RigCalibration, TapeMeasure, Ta
 from rig_calibration.extrinsics.world import WorldChoice
 
 from .outer_corners import read_corners, write_corner_help, write_template
-from .rig_detections import Cameras, CamerasDetections, Corners, RigSources, detections_of
+from .rig_detections import Cameras, CamerasDetections, Corners, FootageSources, detections_of
 from .rig_inputs import RigInputs, read_floor_points, read_intrinsics, read_lens_deviations, require_seen
 from .rig_report import print_report, write_outputs
 
+if TYPE_CHECKING:  # ROS takes a second to load
+    from .rig_live import LiveSources
+Sources: TypeAlias = "FootageSources | LiveSources"
 
-def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Console) -> RigCalibration:
+
+def calibrate_extrinsics(request: RigRequest, sources: Sources, console: Console) -> RigCalibration:
     """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
     points = None if request.floor_points is None else read_floor_points(request.floor_points)
     names = {*sources.names, *(points.seen if points else ())} - set(request.without)
@@ -61,7 +65,7 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
     return calibrated
 
 
-def _detect_floor(request: RigRequest, sources: RigSources, cameras: Cameras, corners: Corners) -> CamerasDetections:
+def _detect_floor(request: RigRequest, sources: Sources, cameras: Cameras, corners: Corners) -> CamerasDetections:
     board = request.floor_board
     if board is None:
         return {}

@@ -1,6 +1,6 @@
 """Finds the board or the wand in the pictures of all cameras; where it cannot, keeps what explains why.
 
-:class:`RigSources` is where the pictures come from: :class:`FootageSources` reads files, rig_live the running cameras.
+The pictures are files here (:class:`FootageSources`), or those of the running cameras (rig_live.LiveSources).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
-from typing import Protocol
 
 import numpy as np
 
@@ -140,23 +139,8 @@ def detections_of(seen: CamerasDetections) -> Sequence[TargetDetection]:
     return [detection for found in seen.values() for detection in found.detections]
 
 
-class RigSources(Protocol):
-    """Pictures of a rig's cameras. ``names`` are all its cameras."""
-
-    names: tuple[str, ...]
-
-    def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
-        """Return the board on the floor, in the pictures of those of ``cameras`` that have any."""
-
-    def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
-        """Return the carried board in their pictures."""
-
-    def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
-        """Return the carried wand with markers at ``marks_m`` in their pictures."""
-
-
 class FootageSources:
-    """Stills and videos. Raises InputError for footage that cannot be read."""
+    """Stills and videos of a rig, whose cameras are ``names``. Raises InputError for footage that cannot be read."""
 
     def __init__(
         self, floor: Sequence[str], moving: Sequence[str], wand: Sequence[str], without: Sequence[str]
