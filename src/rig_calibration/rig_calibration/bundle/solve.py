@@ -78,7 +78,7 @@ def solve_rig(
     poses' covariance.
 
     The same input gives the same result to the last bit, in whatever order detections and names come. Raises InputError
-    for detections of another image size, for cameras that see nothing and groups of cameras that share no view (both also
+    for detections of another image size, for cameras that see nothing and groups that share no view (both also
     when nothing is left after contradictory detections were left out), and for a reference that contradicts the rest.
     """
     problem = check_problem(cameras, detections, targets, alike, intrinsics_sd or {})
