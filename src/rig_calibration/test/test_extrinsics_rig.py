@@ -133,3 +133,61 @@ def test_tape_measure_of_an_unknown_camera_or_a_useless_length_is_refused(whole:
         TapeMeasure("cam01", "cam09", 3.0).checked(whole.rig)
     with pytest.raises(InputError, match="no length to check with"):
         TapeMeasure("cam01", None, -2.0).checked(whole.rig)
+
+
+# --- lenses that fold inside the image -------------------------------------------------------------------------------
+
+
+def folding_cameras():
+    K, D = np.array([[418.0, 0.0, 326.8], [0.0, 418.0, 239.4], [0.0, 0.0, 1.0]]), np.array([-0.4, 0.15, 0, 0, -0.03])
+    return {name: replace(c, width=644, height=486, K=K, D=D) for name, c in ring(4, 2.2, 1.8).items()}
+
+
+def of_boards(rig):
+    floor = made.see_all(rig, made.FLOOR_BOARD, [made.on_floor(made.FLOOR_BOARD)], FLOOR)
+    return floor + made.see_all(rig, made.CARRIED_BOARD, made.carried_poses(60), MOVING)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_rig_of_folding_lenses_is_placed_and_its_figures_are_numbers():
+    rig = folding_cameras()
+    result = calibrate_rig(rig, of_boards(rig), TARGETS)
+    for camera in result.rig.cameras:
+        place_mm, turn_deg = made.pose_errors(camera, rig[camera.name])
+        assert place_mm < 10.0 and turn_deg < 0.2
+    assert result.verdict.grade == "good", str(result.verdict)
+    figures = result.figures
+    assert result.rms_px == pytest.approx(made.NOISE_PX * np.sqrt(2), rel=0.1)
+    assert np.isfinite([[c.rms_px, c.sd_centre_mm, c.sd_rotation_deg] for c in figures.values()]).all()
+    assert result.common.floor_m2[2] > 1.0
+
+
+def test_corners_found_where_the_lens_has_no_ray_count_for_nothing():
+    rig = folding_cameras()
+    detections = of_boards(rig)
+    spoilt = []
+    for detection in detections:
+        pixels = detection.pixels.copy()
+        if detection.target == MOVING and detection.frame_index % 3 == 0:
+            pixels[[0, 5]] = (2.0, 2.0), (640.0, 3.0)
+            assert np.isnan(rig[detection.camera].ideal_points(pixels[[0, 5]])).all()
+        spoilt.append(replace(detection, pixels=pixels))
+    result = calibrate_rig(rig, spoilt, TARGETS)
+    assert not result.solution.left_out
+    without = [d if np.array_equal(d.pixels, s.pixels) else kept(d) for d, s in zip(detections, spoilt, strict=True)]
+    expected = calibrate_rig(rig, without, TARGETS)
+    for one, other in zip(result.rig.cameras, expected.rig.cameras, strict=True):
+        np.testing.assert_allclose(one.T_camera_world, other.T_camera_world, atol=1e-9)
+
+
+def kept(detection):
+    ids = np.setdiff1d(detection.ids, [0, 5])
+    return replace(detection, ids=ids, pixels=detection.pixels[ids])
+
+
+def test_camera_that_sees_the_board_only_in_a_folded_corner_is_named():
+    rig = folding_cameras()
+    corner = np.column_stack([np.tile(np.arange(6) + 1.0, 9), np.repeat(np.arange(9) + 1.0, 6)])
+    detections = [d if d.camera != "cam04" else replace(d, pixels=corner[: len(d)]) for d in of_boards(rig)]
+    with pytest.raises(ValueError, match="cam04"):
+        calibrate_rig(rig, detections, TARGETS)
