@@ -104,7 +104,7 @@ def floor_detections(rig: Rig, seed: int) -> list[TargetDetection]:
         frames = [project(camera, FLOOR_BOARD, T_world_board, FLOOR, m, rng) for m in range(FLOOR_FRAMES)]
         seen = [detection for detection in frames if detection is not None]
         if seen:
-            found.append(average_still_board(seen, FLOOR_BOARD)[0])
+            found.append(average_still_board(seen, FLOOR_BOARD))
     return found
 
 

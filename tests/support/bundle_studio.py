@@ -56,11 +56,12 @@ def carried(rng: np.random.Generator, frames: int) -> dict[int, np.ndarray]:
 
 
 def project(camera: CameraModel, T_world_target: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(n, 2) pixels by OpenCV; NaN behind the camera."""
+    """(n, 2) pixels by OpenCV; NaN behind the camera, and where the lens model has folded."""
     T = camera.T_camera_world @ T_world_target
+    known = np.isfinite(camera.project(points @ T_world_target[:3, :3].T + T_world_target[:3, 3]))
     x = points @ T[:3, :3].T + T[:3, 3]
     pixels, _ = cv2.projectPoints(x.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), camera.K, camera.D)
-    return np.where(x[:, 2:] > 0.1, pixels.reshape(-1, 2), np.nan)
+    return np.where(known & (x[:, 2:] > 0.1), pixels.reshape(-1, 2), np.nan)
 
 
 def detections_of(
@@ -79,11 +80,11 @@ def detections_of(
         for name, camera in cameras.items():
             ray = camera.centre_world - T[:3, :3] @ points.mean(0) - T[:3, 3]
             slant = ray @ T[:3, 2] / np.linalg.norm(ray)
-            pixels = project(camera, T, points)
-            if slant > np.cos(np.radians(max_tilt_deg)) and np.all((pixels > 2) & (pixels < np.array(SIZE) - 3)):
+            pixels, size = project(camera, T, points), (camera.width, camera.height)
+            if slant > np.cos(np.radians(max_tilt_deg)) and np.all((pixels > 2) & (pixels < np.array(size) - 3)):
                 noisy = pixels + noise_px * rng.normal(size=pixels.shape)
                 found.append(
-                    TargetDetection(name, frame_index, np.arange(len(points)), noisy, SIZE, target, max(noise_px, 0.01))
+                    TargetDetection(name, frame_index, np.arange(len(points)), noisy, size, target, max(noise_px, 0.01))
                 )
     return found
 

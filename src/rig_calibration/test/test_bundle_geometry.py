@@ -1,16 +1,16 @@
 """The solver's projection against OpenCV's, its derivatives against differences; one picture's poses."""
 
-from dataclasses import replace
-
+import cv2
 import numpy as np
 import pytest
 from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, project, rotation
 
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rigid import transform
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.bundle.initial_poses import require_connected
-from rig_calibration.bundle.problem import detection_poses, target_shape
+from rig_calibration.bundle.problem import DetectionPoses, TargetShape, poses_of, target_shape
 from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
 
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
@@ -43,26 +43,14 @@ def state_and_observations(rng: np.random.Generator, fisheye: bool = False) -> t
 
 
 def test_corners_fall_where_opencv_projects_them():
-    import cv2
-
     state, seen = state_and_observations(np.random.default_rng(0))
     residual = residuals_px(state, seen)
-    for row in range(4):
-        camera, pose = seen.camera[row], seen.pose[row]
-        target = seen.target[row]
-        scaled = (seen.points[row] + np.outer(seen.bend[row] @ state.board_warp[target], [0, 0, 1])) * state.scale[
-            target
-        ]
-        x = scaled @ state.R_pose[pose].T + state.position[pose] - state.centre[camera]
-        K = np.array(
-            [
-                [state.lens[camera, 0], 0, state.lens[camera, 2]],
-                [0, state.lens[camera, 1], state.lens[camera, 3]],
-                [0, 0, 1],
-            ]
-        )
-        rvec = cv2.Rodrigues(state.R_camera[camera])[0]
-        pixels, _ = cv2.projectPoints(x.reshape(-1, 1, 3), rvec, np.zeros(3), K, state.lens[camera, 4:])
+    for row, (camera, pose, target) in enumerate(zip(seen.camera, seen.pose, seen.target, strict=True)):
+        bent = seen.points[row] + np.outer(seen.bend[row] @ state.board_warp[target], [0, 0, 1])
+        x = state.scale[target] * bent @ state.R_pose[pose].T + state.position[pose] - state.centre[camera]
+        fx, fy, cx, cy, *D = state.lens[camera]
+        K, turn = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), cv2.Rodrigues(state.R_camera[camera])[0]
+        pixels, _ = cv2.projectPoints(x.reshape(-1, 1, 3), turn, np.zeros(3), K, np.array(D))
         np.testing.assert_allclose(seen.pixels[row] - residual[row], pixels.reshape(-1, 2), atol=1e-8)
 
 
@@ -95,6 +83,10 @@ def test_derivatives_match_central_differences(fisheye):
 # --- poses of one picture ---------------------------------------------------------------------------------------------
 
 
+def detection_poses(detection: TargetDetection, camera: CameraModel, shape: TargetShape) -> DetectionPoses | None:
+    return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
+
+
 def seen_once(T_world_target: np.ndarray, points: np.ndarray, ids: np.ndarray | None = None) -> TargetDetection:
     ids = np.arange(len(points)) if ids is None else ids
     pixels = project(camera_at("cam01", (3, 0, 2)), T_world_target, points[ids])
@@ -115,21 +107,15 @@ def test_first_pose_is_the_true_one_when_corners_are_exact(points: np.ndarray):
 
 
 def test_both_mirror_poses_are_kept_when_the_board_is_small_and_far():
-    camera = camera_at("cam01", (8, 0, 2))
-    T = np.eye(4)
-    T[:3, :3] = rotation([0, np.radians(60), 0])
+    far, near = camera_at("cam01", (8, 0, 2)), camera_at("cam01", (3, 0, 2))
+    T = transform(rotation([0, np.radians(60), 0]), np.zeros(3))
     points = BOARD.corners_board / 2
-    detection = TargetDetection("cam01", 0, np.arange(30), project(camera, T, points), SIZE)
-    noisy = replace(detection, pixels=detection.pixels + 0.3 * np.random.default_rng(0).normal(size=(30, 2)))
-    poses = detection_poses(noisy, camera, target_shape("", points))
-    near = detection_poses(
-        seen_once(T @ transform(np.eye(3), np.array([1.0, 0, 1])), BOARD.corners_board),
-        camera_at("cam01", (3, 0, 2)),
-        target_shape("", BOARD.corners_board),
-    )
-    assert poses is not None and near is not None
-    assert len(poses.t) == 2 and poses.weight[1] > 0.5
-    assert (near.weight[1:] < 0.01).all()
+    pixels = project(far, T, points) + 0.3 * np.random.default_rng(0).normal(size=(30, 2))
+    ambiguous = detection_poses(TargetDetection("", 0, np.arange(30), pixels, SIZE), far, target_shape("", points))
+    shown = seen_once(T @ transform(np.eye(3), np.array([1.0, 0, 1])), BOARD.corners_board)
+    clear = detection_poses(shown, near, target_shape("", BOARD.corners_board))
+    assert ambiguous is not None and len(ambiguous.t) == 2 and ambiguous.weight[1] > 0.5
+    assert clear is not None and (clear.weight[1:] < 0.01).all()
 
 
 @pytest.mark.parametrize("ids", [[0, 1, 2], [0, 1, 2, 3, 4, 5]])
@@ -138,11 +124,11 @@ def test_no_pose_from_three_corners_or_a_row_of_them(ids: list[int]):
     assert detection_poses(detection, camera_at("cam01", (3, 0, 2)), target_shape("", BOARD.corners_board)) is None
 
 
-def test_turned_points_lie_on_the_points_of_the_permutation():
-    shape = target_shape("", Checkerboard(8, 6, (0.1, 0.1)).corners_board, 2)
-    for symmetry in shape.symmetries:
-        np.testing.assert_allclose(shape.points @ symmetry.R.T, shape.points[symmetry.permutation], atol=1e-12)
-    assert shape.symmetries[1].permutation[0] == 47
+def test_turned_points_lie_on_the_points_in_reverse():
+    shape = target_shape("", Checkerboard(8, 6, (0.1, 0.1)).corners_board, looks_alike=True)
+    for way, R in enumerate(shape.ways):
+        np.testing.assert_allclose(shape.points @ R.T, shape.points[shape.numbered(np.arange(48), way)], atol=1e-12)
+    assert len(shape.ways) == 2
 
 
 def test_cameras_without_common_view_are_named_by_group():

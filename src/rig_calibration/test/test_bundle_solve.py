@@ -41,17 +41,6 @@ def test_noisy_corners_give_centres_within_5_mm_a_tenth_of_a_degree_and_figures_
     assert noisy.inflation < 1.5 and noisy.sync_error_m == 0.0
 
 
-def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
-    poses = studio.carried(np.random.default_rng(1), 100)
-    np.testing.assert_allclose(noisy.T_reference_target["floor", 0], np.eye(4), atol=1e-12)
-    errors_m = [
-        np.linalg.norm((studio.T_WORLD_FLOOR @ T)[:3, 3] - poses[frame_index][:3, 3])
-        for (target, frame_index), T in noisy.T_reference_target.items()
-        if target == "moving"
-    ]
-    assert len(errors_m) > 60 and np.median(errors_m) < 0.005
-
-
 def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
     cameras = studio.ring(4)
     detections = studio.carried_and_floor(cameras, np.random.default_rng(1), 100)
@@ -127,25 +116,7 @@ def test_rig_is_found_when_each_pair_shares_views_but_nobody_sees_all():
     assert centre_mm < 15 and rotation_deg < 0.2
 
 
-@pytest.mark.parametrize(
-    ("size", "said"),
-    [
-        ((1920, 1080), "cam01: its images are 1920 x 1080 pixels, its intrinsics are for 640 x 480"),
-        (studio.SIZE, "cam02, cam03: no picture"),
-    ],
-)
-def test_detections_that_do_not_fit_are_named(size: tuple[int, int], said: str):
-    detection = TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), size, "moving")
-    with pytest.raises(InputError, match=said):
+def test_cameras_that_saw_nothing_are_named():
+    detection = TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), studio.SIZE, "moving")
+    with pytest.raises(InputError, match="cam02, cam03: no picture"):
         solve_rig(studio.ring(3), [detection], studio.TARGETS)
-
-
-def test_reference_that_was_not_seen_is_refused():
-    cameras = studio.ring(3)
-    with pytest.raises(InputError, match="'ceiling' in frame 0, was not seen"):
-        solve_rig(
-            cameras,
-            studio.carried_and_floor(cameras, np.random.default_rng(0), 8),
-            studio.TARGETS,
-            reference=("ceiling", 0),
-        )

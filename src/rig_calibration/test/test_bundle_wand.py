@@ -7,7 +7,7 @@ import pytest
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import TargetDetection
-from rig_calibration.boards.wand import WAND, find_blobs, find_wand, wand_points, wand_symmetry_order
+from rig_calibration.boards.wand import WAND, find_blobs, find_wand, wand_looks_alike, wand_points
 from rig_calibration.bundle.solve import solve_rig
 
 UNEVEN, EVEN, TWO = (0.0, 0.25, 0.4), (0.0, 0.2, 0.4), (0.0, 0.4)
@@ -31,7 +31,7 @@ def wand_detections(marks: tuple[float, ...], frames: int, seed: int) -> list[Ta
         for name, camera in studio.ring(4).items():
             pixels = studio.project(camera, T, wand_points(marks))
             if np.all((pixels > 2) & (pixels < np.array(studio.SIZE) - 3)):
-                ids = np.arange(len(marks))[:: rng.choice([1, -1]) if wand_symmetry_order(marks) == 2 else 1].copy()
+                ids = np.arange(len(marks))[:: rng.choice([1, -1]) if wand_looks_alike(marks) else 1].copy()
                 noisy = pixels + 0.1 * rng.normal(size=pixels.shape)
                 found.append(TargetDetection(name, frame_index, ids, noisy, studio.SIZE, WAND, 0.1))
     return found
@@ -118,7 +118,7 @@ def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
         cameras,
         wand_detections(marks, 30, seed=1),
         {WAND: wand_points(marks)},
-        symmetry_orders={WAND: wand_symmetry_order(marks)},
+        alike={WAND} if wand_looks_alike(marks) else (),
     )
     others = [name for name in cameras if solution.covariance[name].any()]
     (root,) = set(cameras) - set(others)
@@ -137,7 +137,7 @@ def test_wand_and_floor_board_together_give_the_world():
         wand_detections(TWO, 40, seed=2) + floor,
         {WAND: wand_points(TWO), "floor": studio.TARGETS["floor"]},
         reference=studio.ON_FLOOR,
-        symmetry_orders={WAND: 2},
+        alike={WAND},
     )
     centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(cameras)))
     assert centre_mm < 7 and rotation_deg < 0.12
@@ -156,4 +156,4 @@ def test_too_few_views_of_a_wand_are_an_error_that_names_the_cameras():
 )
 def test_impossible_wands_are_refused(marks: tuple[float, ...], said: str):
     with pytest.raises(InputError, match=said):
-        wand_symmetry_order(marks)
+        wand_looks_alike(marks)

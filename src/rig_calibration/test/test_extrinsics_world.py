@@ -1,19 +1,20 @@
 """A camera's pose from a board on the floor; where the world lies on it; when a carried board lies on the floor, and
 what its carrier is told."""
 
+import re
 from dataclasses import replace
 
 import extrinsics_room as made
 import numpy as np
 import pytest
-from bundle_studio import camera_at
+from bundle_studio import camera_at, ring
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.extrinsics import board_frames
 from rig_calibration.extrinsics.board_frames import average_still_board
-from rig_calibration.extrinsics.world import WorldChoice, board_in_world, common_volume, world_of_level_camera
+from rig_calibration.extrinsics.world import WorldChoice, board_in_world, common_volume
 
 BOARD = Checkerboard(9, 6, (0.1, 0.1))
 MIDDLE_BOARD = np.array([0.4, -0.25, 0.0])
@@ -30,9 +31,8 @@ def seen(
     camera: CameraModel, frame_index: int, noise_px: float = made.NOISE_PX, board: Checkerboard = BOARD
 ) -> TargetDetection:
     """What the camera sees of the board in a frame, with noise of that frame's own."""
-    detection = made.see(camera, board, np.eye(4), "", frame_index, noise_px)
-    assert detection is not None
-    return detection
+    (detection,) = made.see_all({"cam01": camera}, board, [np.eye(4)], "", noise_px, seed=frame_index)
+    return replace(detection, frame_index=frame_index)
 
 
 def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_frames_out() -> None:
@@ -42,9 +42,8 @@ def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_fr
     frames[4].pixels[7] += [9.0, -4.0]  # one corner on a finger
     frames[6] = replace(frames[6], ids=frames[6].ids[9:], pixels=frames[6].pixels[9:])  # an arm
     frames += [seen(moved, frame) for frame in (12, 13)]
-    still, moved_frames = average_still_board(frames[::-1], BOARD)
+    still = average_still_board(frames[::-1], BOARD)
     errors = still.pixels - truth
-    assert moved_frames == (12, 13)
     assert np.sqrt((errors**2).mean()) < 1.2 * made.NOISE_PX / np.sqrt(12)
     assert np.abs(errors[7]).max() < 4 * made.NOISE_PX / np.sqrt(11)
     assert still.target == "floor" and made.NOISE_PX / np.sqrt(12) < still.sigma_px < made.NOISE_PX / 2
@@ -55,8 +54,7 @@ def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one
     camera = at_angle(50.0)
     frames = [seen(camera, frame, board=board) for frame in range(4)]
     frames[2] = replace(frames[2], ids=frames[2].ids[::-1].copy())
-    still, moved_frames = average_still_board(frames, board)
-    assert moved_frames == ()
+    still = average_still_board(frames, board)
     assert np.abs(still.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * made.NOISE_PX / 2
 
 
@@ -68,22 +66,14 @@ def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one
     [
         (WorldChoice(thickness_m=0.005), [0.36, -0.18, 0.0], [0.0, 0.0, 0.005]),
         (WorldChoice(thickness_m=0.005), [0.48, -0.18, 0.0], [0.12, 0.0, 0.005]),
-        (WorldChoice("first-corner"), [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
         (WorldChoice((0.12, -0.24)), [0.12, -0.24, 0.0], [0.0, 0.0, 0.0]),
-        (WorldChoice("first-corner", heading=np.pi / 2), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]),
+        (WorldChoice((0.0, 0.0), heading=np.pi / 2), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]),
     ],
-    ids=["the board's middle", "x along the rows", "first corner", "any place", "heading counterclockwise"],
+    ids=["the board's middle", "x along the rows", "any place", "heading counterclockwise"],
 )
 def test_world_lies_on_the_floor_board_as_it_is_asked_for(choice, point_board, point_world) -> None:
     T = board_in_world(made.FLOOR_BOARD.corners_board, choice)
     assert T[:3, :3] @ point_board + T[:3, 3] == pytest.approx(point_world, abs=1e-12)
-
-
-def test_level_camera_looks_along_world_x_with_z_up() -> None:
-    T = world_of_level_camera(np.eye(4))
-    assert T[:3, :3] @ [0.0, 0.0, 1.0] == pytest.approx([1.0, 0.0, 0.0])
-    assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([0.0, 0.0, -1.0]), "the image's down is down"
-    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
 
 
 def ceiling_camera(name: str, x: float, y: float) -> CameraModel:
@@ -117,17 +107,17 @@ def test_common_volume_says_when_nobody_can_stand_in_it() -> None:
 
 
 def test_carried_board_lies_on_the_floor_where_nothing_was_below_it() -> None:
-    poses = dict(enumerate(made.carried_poses(60)))
+    poses = dict(enumerate(made.carried_poses(60, seed=4)))
     lying = made.on_floor(made.CARRIED_BOARD, 0.3, -0.2, 0.5)
     poses |= {frame_index: lying for frame_index in range(60, 66)}
     poses[70] = made.on_floor(made.CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a frame
-    centres = [camera.centre_world for camera in made.circle(4).values()]
+    centres = [camera.centre_world for camera in ring(4).values()]
     assert board_frames.lying_frames(poses, made.CARRIED_BOARD.corners_board, centres) == (*range(60, 66), 70)
 
 
 def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> None:
     poses = dict(enumerate(made.carried_poses(60)))
-    centres = [camera.centre_world for camera in made.circle(4).values()]
+    centres = [camera.centre_world for camera in ring(4).values()]
     with pytest.raises(InputError, match="--floor-at"):
         board_frames.lying_frames(poses, made.CARRIED_BOARD.corners_board, centres)
 
@@ -135,34 +125,26 @@ def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> No
 def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
     lying = made.on_floor(made.CARRIED_BOARD)
     poses = [*made.carried_poses(4), lying, lying, lying, *made.carried_poses(3, seed=5)]
-    detections = made.see_all(made.circle(4), made.CARRIED_BOARD, poses, "moving", noise_px=0.1)
+    detections = made.see_all(ring(4), made.CARRIED_BOARD, poses, "moving", noise_px=0.1)
     assert board_frames.resting_around(detections, 5) == (4, 5, 6)
     with pytest.raises(InputError, match="no camera shows the board in frame 77"):
         board_frames.resting_around(detections, 77)
 
 
-def test_chosen_frames_are_shared_and_evenly_spread() -> None:
-    detections = made.see_all(made.circle(4), made.CARRIED_BOARD, made.carried_poses(90), "moving")
-    every, some = board_frames.shared_frames(detections[::-1]), board_frames.shared_frames(detections, most=30)
-    cameras = {frame: {s.camera for s in detections if s.frame_index == frame} for frame in range(90)}
-    assert every == tuple(frame for frame, names in cameras.items() if len(names) > 1)
-    assert 15 < len(some) <= 30 and set(some) < set(every)
-
-
 # --- while the board is carried ---------------------------------------------------------------------------------------
 
-CAMERAS = made.circle(3)
+CAMERAS = ring(3)
 DETECTIONS = made.see_all(CAMERAS, made.CARRIED_BOARD, made.carried_poses(400), "moving")
 
 
 def pair_only(one: str, other: str, count: int) -> list:
     """Detections of the first so many frames that both see, and nobody else's."""
-    seen = {m: {s.camera for s in DETECTIONS if s.frame_index == m} for m in range(400)}
-    shared_frames = [m for m, names in seen.items() if {one, other} <= names][:count]
-    return [s for s in DETECTIONS if s.frame_index in shared_frames and s.camera in (one, other)]
-
-
-PAIRS = [("cam01", "cam02"), ("cam02", "cam03"), ("cam01", "cam03")]
+    frames = sorted(
+        {s.frame_index for s in DETECTIONS if s.camera == one}.intersection(
+            s.frame_index for s in DETECTIONS if s.camera == other
+        )
+    )[:count]
+    return [s for s in DETECTIONS if s.frame_index in frames and s.camera in (one, other)]
 
 
 @pytest.mark.parametrize(
@@ -173,19 +155,11 @@ PAIRS = [("cam01", "cam02"), ("cam02", "cam03"), ("cam01", "cam03")]
             pair_only("cam01", "cam02", 30) + pair_only("cam02", "cam03", 3),
             "cam02 and cam03 share 3 of 12 frames: carry the board where both see it",
         ),
-        ([s for pair in PAIRS for s in pair_only(*pair, 12)], "carry on: "),
-        (
-            [replace(s, pixels=s.pixels * (0.3 if s.camera == "cam02" else 1.0)) for s in DETECTIONS],
-            "carry the board to more places of cam02's image",
-        ),
+        (pair_only("cam01", "cam02", 15) + pair_only("cam02", "cam03", 15), "carry on: "),
+        (DETECTIONS, "$"),
     ],
-    ids=["no common view", "too little in common", "few frames", "one part of an image"],
+    ids=["no common view", "too little in common", "few frames", "enough"],
 )
 def test_what_is_missing_is_said(seen: list, advice: str) -> None:
     once = {(s.camera, s.frame_index): s for s in seen}
-    assert board_frames.motion_advice(tuple(CAMERAS), list(once.values()))[1].startswith(advice)
-
-
-def test_nothing_is_missing_when_all_cameras_share_many_frames_all_over_their_images() -> None:
-    frames, advice = board_frames.motion_advice(tuple(CAMERAS), DETECTIONS)
-    assert frames >= board_frames.ENOUGH_FRAMES and advice == ""
+    assert re.match(advice, board_frames.motion_advice(tuple(CAMERAS), list(once.values()))[1])

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from intrinsics_views import BOARD, found, lens, shown
 
-from capture_rig.errors import InputError
-from rig_calibration.intrinsics.calibrate import board_pose
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, coverage_of, motion_px, placement_of
+from rig_calibration.intrinsics.selection import ViewCollector, coverage_of, motion_px, view_of
 
 
 def jittered(detection, frame_index, blur_px=0.0):
@@ -21,17 +19,17 @@ def jittered(detection, frame_index, blur_px=0.0):
 
 def test_views_alike_are_taken_once():
     view = shown(lens(), 1, 0.1, seed=1)[0]
-    collector = ViewCollector(BOARD)
+    collector = ViewCollector(BOARD, "cam01")
     assert collector.try_add(view) == ""
     assert "like one that is there already" in collector.try_add(jittered(view, 1, blur_px=0.5))
     assert len(collector) == 1
-    chosen = ViewCollector(BOARD, every=True)  # by hand: taken whatever they show
+    chosen = ViewCollector(BOARD, "cam01", every=True)  # by hand: taken whatever they show
     assert chosen.try_add(view) == "" == chosen.try_add(jittered(view, 1))
 
 
 def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
     view = shown(lens(), 1, 0.1, seed=1)[0]
-    collector = ViewCollector(BOARD)
+    collector = ViewCollector(BOARD, "cam01")
     collector.try_add(replace(view, blur_px=1.5), motion_px=2.0)
     assert collector.try_add(jittered(view, 1, blur_px=0.5), motion_px=0.1) == ""
     assert [detection.frame_index for detection in collector.detections] == [1]
@@ -46,35 +44,27 @@ def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
     ],
 )
 def test_blurred_and_moving_boards_are_refused_with_the_reason(blur_px, motion_px, said):
-    collector = ViewCollector(BOARD)
+    collector = ViewCollector(BOARD, "cam01")
     view = replace(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px)
     assert said in collector.try_add(view, motion_px) and len(collector) == 0
 
 
-def test_image_of_another_size_is_refused():
-    views = shown(lens(), 2, 0.1, seed=2)
-    collector = ViewCollector(BOARD)
-    collector.try_add(views[0])
-    with pytest.raises(InputError, match=r"several sizes: 640 x 480 .*, 1280 x 960 "):
-        collector.try_add(replace(views[1], image_size=(1280, 960)))
-
-
 def test_collecting_ends_when_lens_is_known_and_everything_covered():
-    camera, collector = lens(), ViewCollector(BOARD, goals=LensAccuracy(focal_sd=0.004, centre_sd_px=2.0))
+    camera, collector = lens(), ViewCollector(BOARD, "cam01")
     for view in shown(camera, 120, 0.1, seed=3):
         assert not collector.enough and collector.advice()
         collector.try_add(replace(view, blur_px=0.5))
         if collector.enough:
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
-    expected, result = collector.expected, found(collector.detections)
-    assert expected.focal_sd <= 0.004 and expected.centre_sd_px <= 2.0
-    assert result.sd["fx"] / result.values["fx"] == pytest.approx(expected.focal_sd, rel=0.35)
-    assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.006)
+    (focal_sd, centre_sd_px), result = collector.expected_sd, found(collector.detections)
+    assert focal_sd <= 0.001 and centre_sd_px <= 1.0
+    assert result.sd["fx"] / result.values["fx"] == pytest.approx(focal_sd, rel=0.35)
+    assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.003)
 
 
 def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
-    collector = ViewCollector(BOARD)
+    collector = ViewCollector(BOARD, "cam01")
     for view in shown(lens(), 10, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
         collector.try_add(view)
     assert not collector.enough
@@ -84,10 +74,9 @@ def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
 def test_advice_names_the_part_of_the_image_that_lacks_most():
     detections = [s for s in shown(lens(), 100, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
     start = LensModel("plumb_bob").camera("cam01", 467.0, (640, 480))
-    placements = [placement_of(board_pose(detection, BOARD, start), detection) for detection in detections]
-    coverage = coverage_of([detection.pixels for detection in detections], placements, (640, 480))
-    assert 0.3 < coverage.image < 0.6
-    assert "left" in coverage.emptiest() and "left" in coverage.advice()
+    coverage = coverage_of([view_of(detection, BOARD, start) for detection in detections])
+    assert 0.3 < coverage.cells.mean() < 0.6
+    assert "left" in coverage.advice()
 
 
 @pytest.mark.parametrize("side, axis, sign", [("top", 0, 1), ("bottom", 0, -1), ("left", 1, -1), ("right", 1, 1)])
@@ -102,8 +91,7 @@ def test_tilt_is_named_by_the_side_that_comes_nearer(side, axis, sign):
     assert {"top": nearest[1] < 0, "bottom": nearest[1] > 0, "left": nearest[0] < 0, "right": nearest[0] > 0}[side]
     detection = replace(shown(camera, 1, 0.1, seed=1)[0], pixels=camera.project(points), ids=np.arange(54))
     start = LensModel("plumb_bob").camera("cam01", 467.0, (640, 480))
-    placement = placement_of(board_pose(detection, BOARD, start), detection)
-    tilts = coverage_of([detection.pixels], [placement], (640, 480)).tilt_deg
+    tilts = coverage_of([view_of(detection, BOARD, start)]).tilt_deg
     assert max(tilts, key=tilts.get) == side and tilts[side] == pytest.approx(30, abs=4)
 
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from capture_rig.camera import CameraModel
 from rig_calibration.boards.board import CharucoBoard
-from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
 
 Array = NDArray[np.float64]
@@ -98,9 +97,6 @@ def test_lens_that_folds_inside_the_image_is_usable_up_to_there():
     figures = report_of(result, {})
     assert figures["lens_holds_to_deg"] == pytest.approx(53.6, abs=0.5)
     assert figures["image_unused"] == pytest.approx(0.08, abs=0.01)
-    figure = draw(result)  # without a warning
-    figure.canvas.draw()
-    assert len(figure.axes) == 3
 
 
 def test_lens_that_folds_far_inside_the_image_must_be_done_again():
@@ -129,12 +125,3 @@ def test_wide_lens_goes_on_as_lenses_do_where_no_board_was_seen(model):
     camera = DesignedLens(PROJECTIONS["between rectilinear and equidistant"], 112.0)
     result = calibrated(camera, 21, model, reach=0.6)
     assert result.camera.unused_share < 0.02 and np.nanmax(pixel_errors(result.camera, camera)) < 15.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("projection", PROJECTIONS)
-def test_rational_model_has_no_pole_beside_the_corners(projection):
-    camera = DesignedLens(PROJECTIONS[projection], 95.0)
-    for seed in (21, 22):
-        result = calibrated(camera, seed, "rational_polynomial")
-        assert np.nanmax(pixel_errors(result.camera, camera)) < 12.0

@@ -15,10 +15,10 @@ from sensor_msgs.srv import SetCameraInfo
 from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard
-from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
+from rig_calibration.intrinsics.selection import ViewCollector
 from sagoma_ros.images import decode_image, image_message
 from sagoma_ros.qos import RESULT
-from sagoma_tools.calibration.live_lens import camera_name_of, draw_preview, namespace_of, plain_line
+from sagoma_tools.calibration.live_lens import plain_line
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
 
@@ -161,24 +161,15 @@ def test_topic_without_images_is_named_with_those_there_are(shown, tmp_path, cap
     assert "/cam02/image_raw: no image came for 2 s" in said and "/cam01/image_raw" in said
 
 
-def test_names_come_from_the_topic():
-    assert camera_name_of("/cam01/image_raw") == camera_name_of("/cam01/image_raw/compressed") == "cam01"
-    assert namespace_of("/room/cam01/image_raw") == "/room/cam01" and camera_name_of("/image_raw") == "camera"
-
-
 def test_line_shows_progress_advice_and_the_last_reason(shown):
-    watcher = BoardImageProcessor(BOARD, "cam01", ViewCollector(BOARD))
-    watcher.process(shown[0], None, 0)
-    detection, reason = watcher.process(shown[0], shown[0], 1)
+    collector = ViewCollector(BOARD, "cam01")
+    collector.process(shown[0], None, 0)
+    detection, reason = collector.process(shown[0], shown[0], 1)
     assert detection is not None and reason
-    advice = watcher.collector.advice()
-    line = plain_line(watcher, reason)
+    advice = collector.advice()
+    line = plain_line(collector, reason)
     assert line.startswith("cam01: 1 views; image ") and "tilt" in line
     assert advice in line and line.endswith(f"(last image: {reason})")
-    picture = draw_preview(shown[0], detection, reason, watcher.collector)
-    marked = np.ptp(picture.astype(int), axis=2) > 100
-    corner = np.rint(detection.pixels[20]).astype(int)
-    assert marked[corner[1] - 6 : corner[1] + 7, corner[0] - 6 : corner[0] + 7].any()
 
 
 COLOURS = np.random.default_rng(0).integers(0, 255, (8, 12, 3), np.uint8)  # BGR

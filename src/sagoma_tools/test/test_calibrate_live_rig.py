@@ -57,7 +57,7 @@ def test_cameras_are_found_and_deliver_their_pictures_and_one_that_does_not_is_n
 
 
 def test_floor_and_carried_board_are_seen_live_in_common_frames(published, link, monkeypatch):
-    for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_FRAMES", 5), ("ENOUGH_CELLS", 1)):
+    for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_FRAMES", 5)):
         monkeypatch.setattr(progress, name, few)
     asked: list[str] = []
 

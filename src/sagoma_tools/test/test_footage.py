@@ -81,12 +81,7 @@ def test_frames_of_a_camera_have_the_index_of_their_moment(tmp_path, files, sour
         list(found[name]) == sorted(found[name]) and footage[name].where.startswith(str(tmp_path)) for name in found
     )
     assert {camera.is_video for camera in footage.values()} == {"cam01.mp4" in files}
-
-
-def test_film_says_its_length_and_gives_grey_images(tmp_path):
-    make_footage(tmp_path, {"cam01.mp4": [10, 90, 170]})
-    film = open_footage_of_cameras([str(tmp_path)])["cam01"]
-    assert film.count == 3 and {image.shape for _, image in film} == {(48, 64)}
+    assert all(len(found[name]) <= footage[name].count for name in found)
 
 
 @pytest.mark.parametrize(

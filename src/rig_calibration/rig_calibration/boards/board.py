@@ -130,6 +130,7 @@ EXAMPLES = (
     '"checkerboard 4x3 297x210mm", or "charuco 11x8 30mm 22mm DICT_5X5_100" (fields, side of a field, of a marker).'
 )
 
+LEGACY = "Prints of OpenCV before 4.6 with an even number of rows are legacy."
 _SIZE = r"(?P<columns>\d+)\s*[x×]\s*(?P<rows>\d+)"
 _NUMBER, _UNIT = r"\d+(?:\.\d+)?", r"\s*(mm|cm|m|in)"
 _CHECKERBOARD = rf"(?:checker|chess)board\s+{_SIZE}\s+({_NUMBER})(?:\s*[x×]\s*({_NUMBER}))?{_UNIT}"
@@ -190,54 +191,39 @@ def _board(mapping: Mapping[str, Any], where: str) -> Board:
     if unknown := sorted(map(str, set(given) - needed - optional - {"type"})):
         remedy = f"Known keys: {', '.join(sorted(needed | optional))}."
         raise InputError(f"key '{unknown[0]}' is not known for a {kind}", where=where, remedy=remedy)
-    columns, rows = (_number(given[key], key, where, whole=True) for key in ("columns", "rows"))
-    return (_checkerboard if kind == "checkerboard" else _charuco)(columns, rows, given, where)
-
-
-def _checkerboard(columns: int, rows: int, given: Mapping[str, Any], where: str) -> Checkerboard:
-    field_m = given["field_m"]
-    sides = field_m if isinstance(field_m, list | tuple) else [field_m] * 2
-    if len(sides) != 2:
-        remedy = "Give metres, such as 0.025 or [0.297, 0.21]."
-        raise InputError(f"field_m = {field_m!r} is neither a side nor [width, height]", where=where, remedy=remedy)
-    width, height = (float(_number(side, "field_m", where)) for side in sides)
-    if columns == rows and columns % 2 == 0:
-        raise InputError(
-            f"a checkerboard of {columns} x {rows} inner corners looks the same from all four sides",
-            where=where,
-            remedy=f"Use one with an odd and an even number, or cover a row of fields: {columns} x {rows - 1}.",
-        )
-    return Checkerboard(columns, rows, (width, height))
-
-
-def _charuco(columns: int, rows: int, given: Mapping[str, Any], where: str) -> CharucoBoard:
-    square, marker = (float(_number(given[key], key, where)) for key in ("square_m", "marker_m"))
-    if marker >= square:
-        what, remedy = (
-            f"marker_m = {marker:g} is not smaller than square_m = {square:g}",
-            "Give the field's side first.",
-        )
-        raise InputError(what, where=where, remedy=remedy)
+    counts, lengths = (MIN_CORNERS, MAX_CORNERS, int), (MIN_FIELD_M, MAX_FIELD_M, int | float)
+    columns, rows = (_number(given[key], key, where, *counts) for key in ("columns", "rows"))
+    if kind == "checkerboard":
+        field = given["field_m"]
+        sides = field if isinstance(field, list | tuple) and len(field) == 2 else [field] * 2
+        width, height = (float(_number(side, "field_m", where, *lengths)) for side in sides)
+        if columns == rows and columns % 2 == 0:
+            what = f"a checkerboard of {columns} x {rows} inner corners looks the same from all four sides"
+            remedy = f"Use one with an odd and an even number, or cover a row of fields: {columns} x {rows - 1}."
+            raise InputError(what, where=where, remedy=remedy)
+        return Checkerboard(columns, rows, (width, height))
+    square, marker = (float(_number(given[key], key, where, *lengths)) for key in ("square_m", "marker_m"))
     legacy, name, markers = given.get("legacy", False), given["dictionary"], columns * rows // 2
-    if not isinstance(legacy, bool):
-        remedy = "Prints of OpenCV before 4.6 with an even number of rows are legacy."
-        raise InputError(f"legacy = {legacy!r} is neither true nor false", where=where, remedy=remedy)
     known = sorted(key for key in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_\d+|ARUCO_\w+|APRILTAG_\w+)", key))
     if name not in known:
         remedy = f"Known are {', '.join(known)}."
         raise InputError(f"dictionary = {name!r} is not one of OpenCV's", where=where, remedy=remedy)
     size = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
-    if markers > size:
-        remedy = "Use a larger dictionary, or fewer fields."
-        raise InputError(f"the board has {markers} markers, but {name} only {size}", where=where, remedy=remedy)
+    for wrong, what, remedy in (
+        (marker >= square, f"marker_m = {marker:g} is not smaller than square_m = {square:g}", "Give the field first."),
+        (not isinstance(legacy, bool), f"legacy = {legacy!r} is neither true nor false", LEGACY),
+        (markers > size, f"the board has {markers} markers, but {name} only {size}", "Use a larger dictionary."),
+    ):
+        if wrong:
+            raise InputError(what, where=where, remedy=remedy)
     return CharucoBoard(columns, rows, square, marker, name, legacy)
 
 
-def _number(value: Any, key: str, where: str, whole: bool = False) -> Any:
-    """Return a number of corners or fields (``whole``), or a length; InputError for anything else."""
-    low, high = (MIN_CORNERS, MAX_CORNERS) if whole else (MIN_FIELD_M, MAX_FIELD_M)
-    if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not low <= value <= high:
-        what = f"{key} = {value!r} is not a {'whole number' if whole else 'length in metres'} from {low:g} to {high:g}"
-        remedy = "Count them on the board." if whole else "Lengths in files are in metres: 25 mm is 0.025."
-        raise InputError(what, where=where, remedy=remedy)
+def _number(value: Any, key: str, where: str, low: float, high: float, kind: Any) -> Any:
+    """Return a number of corners or fields, or a length; InputError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
+        wanted, remedy = "length in metres", "Lengths in files are in metres: 25 mm is 0.025, oblong [0.297, 0.21]."
+        if kind is int:
+            wanted, remedy = "whole number", "Count them on the board."
+        raise InputError(f"{key} = {value!r} is not a {wanted} from {low:g} to {high:g}", where=where, remedy=remedy)
     return value

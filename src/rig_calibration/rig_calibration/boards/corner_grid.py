@@ -6,7 +6,6 @@ A grid is (rows, columns, 2) pixels, NaN where a corner is not known.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +13,9 @@ import numpy.typing as npt
 from capture_rig.lens import Array
 
 from .lattice import HALF
-from .x_corner import XCorners, fit_x_corners
+from .x_corner import fit_x_corners
 
 # --- Arithmetic on grids.
-
-CHI_SQUARE_MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of one degree of freedom
 
 
 def steps(pixels: Array) -> tuple[Array, Array]:
@@ -86,19 +83,6 @@ def _extrapolated(first: Array, second: Array, third: Array) -> Array:
     return np.where(np.isfinite(parabola), parabola, 2 * first - second)
 
 
-def scatter_px(pixels: Array) -> float:
-    """Estimate the standard deviation of a coordinate about smooth lines: the fourth differences along rows and
-    columns, which perspective and lens hardly reach (their variance is 70 times a coordinate's); 0 for lines too short
-    to tell."""
-    differences = []
-    for axis in (0, 1):
-        if pixels.shape[axis] > 4:
-            fourth = np.diff(pixels, 4, axis=axis)
-            differences.append(fourth[np.isfinite(fourth)])
-    squares = np.concatenate([*differences, np.zeros(0)]) ** 2
-    return float(np.sqrt(np.median(squares) / (70 * CHI_SQUARE_MEDIAN))) if len(squares) else 0.0
-
-
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_FOUND = 0.7  # of a board's corners; a line of which more is found is a board's own
 
@@ -106,7 +90,7 @@ MIN_FOUND = 0.7  # of a board's corners; a line of which more is found is a boar
 @dataclass(frozen=True, eq=False)
 class CornerGrid:
     """A pattern of any size: ``values`` (rows, columns, 6), NaN where there is no corner: its place in pixels (2),
-    contrast, standard deviation and blur (2), as :class:`XCorners` has them."""
+    contrast, standard deviation and blur (2), as :func:`fit_x_corners` gives them."""
 
     values: Array
 
@@ -129,10 +113,8 @@ class CornerGrid:
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of a coordinate: what the fits' residuals say, or the scatter of the corners about smooth
-        lines where that is larger (compression, interlacing, an uneven print)."""
-        from_fits = float(np.sqrt(np.nanmean(self.values[:, :, 3] ** 2)))
-        return max(from_fits, scatter_px(self.pixels))
+        """Standard deviation of a coordinate, as the fits' residuals say."""
+        return float(np.sqrt(np.nanmean(self.values[:, :, 3] ** 2)))
 
     @property
     def blur_px(self) -> float:
@@ -151,13 +133,15 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
     shows."""
     along, down = steps(expected)
     wanted = ~known.found & np.all(np.isfinite(np.dstack([expected, along, down])), axis=2)
-    corners = fit_x_corners(image, expected[wanted], along[wanted], down[wanted], marker_margin=marker_margin)
-    good = _is_good(corners, expected[wanted], along[wanted], down[wanted])
+    places, along, down = expected[wanted], along[wanted], down[wanted]
+    corners, explained = fit_x_corners(image, places, along, down, marker_margin=marker_margin)
+    side = np.minimum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
+    near = np.linalg.norm(corners[:, :2] - places, axis=1) < np.maximum(HALF * side, 1.0)
     values, kept = known.values.copy(), known.found
-    values[wanted] = np.column_stack([corners.pixels, corners.contrast, corners.sd_px, corners.blur_px])
-    kept[wanted] = good
-    kept &= _has_right_colour(values[:, :, 2], kept)
-    values[~kept] = np.nan
+    values[wanted], kept[wanted] = corners, explained & near
+    # colours change from corner to corner; the majority says which way round
+    signs = np.where(kept, np.sign(values[:, :, 2]) * parity(kept.shape), 0)
+    values[signs * (1.0 if signs.sum() >= 0 else -1.0) <= 0] = np.nan
     return CornerGrid(values)
 
 
@@ -195,16 +179,3 @@ def turned(grid: CornerGrid, quarter_turns: int) -> CornerGrid:
 def is_black_first(grid: CornerGrid) -> bool:
     """Tell whether the field up-left of the first corner is black."""
     return float(np.nansum(grid.contrast * parity(grid.contrast.shape))) < 0
-
-
-def _is_good(corners: XCorners, expected: Array, along: Array, down: Array) -> npt.NDArray[np.bool_]:
-    """Explained by the model, and near where it was expected."""
-    side = np.minimum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
-    near = np.linalg.norm(corners.pixels - expected, axis=1) < np.maximum(HALF * side, 1.0)
-    return (corners.fit > HALF) & (corners.quadrant_similarity > HALF) & near
-
-
-def _has_right_colour(contrast: Array, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Colours change from corner to corner; the majority says which way round."""
-    signs = np.where(kept, np.sign(contrast) * parity(contrast.shape), 0)
-    return signs * (1.0 if signs.sum() >= 0 else -1.0) > 0

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
 
-from .board import Board, CharucoBoard, Checkerboard, TargetDetection, opencv_board
+from .board import Board, CharucoBoard, Checkerboard, TargetDetection, board_text, opencv_board
 from .corner_grid import (
     MIN_FOUND,
     CornerGrid,
@@ -89,16 +89,11 @@ def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:
     A board whose half turn is visible is laid so that the field up-left of the first corner is black; the others so
     that their rows run to the right in the image (which half turn is meant, one view does not tell).
     """
-    return max(possible_orders(grid, board), key=_runs_right, default=None)
-
-
-def possible_orders(grid: CornerGrid, board: Checkerboard) -> list[CornerGrid]:
-    """Read the grid from those of its four sides that give the board's size and, where they tell, its colours."""
     cut = (cut_to(turned(grid, turn), board.rows, board.columns) for turn in range(4))
     choices = [choice for choice in cut if choice is not None]
     if board.half_turn_is_visible or board.rows == board.columns:
         choices = [choice for choice in choices if is_black_first(choice)]
-    return choices
+    return max(choices, key=_runs_right, default=None)
 
 
 def _runs_right(grid: CornerGrid) -> tuple[float, float]:
@@ -114,7 +109,7 @@ ROUNDS = 12
 def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
     """Find the board's corners as a grid (rows - 1, columns - 1), NaN where none was seen; None when there is no
     board."""
-    detector = charuco_detector(board)
+    detector = cv2.aruco.CharucoDetector(opencv_board(board))
     for variant in variants:
         corners, ids, *_ = detector.detectBoard(variant.make(image))
         if ids is not None and len(ids) >= MIN_CORNERS:
@@ -133,11 +128,6 @@ def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tup
         return None
     grid = find_checkerboard(image, plain, variants, FlatBoard(board).marker_margin)
     return turned(grid, 2) if grid is not None and not board.starts_black else grid
-
-
-def charuco_detector(board: CharucoBoard) -> cv2.aruco.CharucoDetector:
-    """Make OpenCV's detector."""
-    return cv2.aruco.CharucoDetector(opencv_board(board))
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,50 +237,23 @@ def detection_of(
 
 MIN_PATTERN_CORNERS = 9  # of a pattern worth mentioning
 MIN_MARKERS = 3
-LITTLE_CONTRAST, DARK, BRIGHT = 25, 25, 230  # grey levels
 
 
 def diagnose_board(image: npt.NDArray[np.uint8], board: Board) -> str | None:
-    """Say in one clause what an image (H, W[, 3]) shows instead of the board: one of another size or kind, a part of
-    it, markers of another dictionary, too little light; None when the board is found, or there is nothing to say."""
-    grey = as_grey(image)
-    variants = variants_for(grey.shape, thorough=False)
-    if isinstance(board, CharucoBoard):
-        found = find_charuco(grey, board, variants)
-        return None if found is not None else _about_markers(grey, board) or _about_light(grey)
-    if find_checkerboard(grey, board, variants) is not None:
+    """Say in one clause what an image (H, W[, 3]) shows instead of the board: markers, or a checkerboard of another
+    size; None when the board is found, or there is nothing to say."""
+    if find_board(image, board) is not None:
         return None
+    grey = as_grey(image)
     if dictionary := _dictionary_seen(grey):
-        return f"a board with markers of {dictionary} was seen instead of a plain checkerboard"
-    patterns = [grid for grid in checkerboard_patterns(grey, variants) if grid.count >= MIN_PATTERN_CORNERS]
-    if patterns:
-        return _about_pattern(max(patterns, key=lambda grid: grid.count), board)
-    return _about_light(grey)
-
-
-def _about_pattern(grid: CornerGrid, board: Checkerboard) -> str:
+        return f"markers of {dictionary} were seen, not as on {board_text(board)}"
+    patterns = checkerboard_patterns(grey, variants_for(grey.shape, thorough=False))
+    grid = max(patterns, key=lambda grid: grid.count, default=None)
+    if grid is None or grid.count < MIN_PATTERN_CORNERS:
+        return None
     columns, rows = sorted(grid.pixels.shape[:2], reverse=True)
-    wanted_columns, wanted_rows = sorted((board.columns, board.rows), reverse=True)
-    seen, wanted = f"a checkerboard of {columns} x {rows} inner corners was seen", f"{board.columns} x {board.rows}"
-    if (columns + 1, rows + 1) == (wanted_columns, wanted_rows):
-        return f"{seen}: {wanted} is its number of fields, but the inner corners count"
-    if columns <= wanted_columns and rows <= wanted_rows:
-        part = f"only {grid.count} of the board's {wanted} corners were seen"
-        return f"{part}: the others are hidden or outside the image, or it is another board"
-    return f"{seen} instead of {wanted}"
-
-
-def _about_markers(grey: npt.NDArray[np.uint8], board: CharucoBoard) -> str | None:
-    *_, ids = charuco_detector(board).detectBoard(grey)
-    if ids is not None and len(ids) >= MIN_MARKERS:
-        size = f"{board.columns} x {board.rows} fields"
-        return f"{len(ids)} markers of {board.dictionary} were seen, not as on a board of {size} (another, or legacy?)"
-    if (family := _dictionary_seen(grey)) and not board.dictionary.startswith(family):
-        return f"markers of {family} were seen instead of {board.dictionary}"
-    variants = variants_for(grey.shape, thorough=False)
-    if any(grid.count >= MIN_PATTERN_CORNERS for grid in checkerboard_patterns(grey, variants)):
-        return "a checkerboard was seen, but no markers on it that can be read: too small, too blurred, or none"
-    return None
+    seen = f"{grid.count} corners of a checkerboard of {columns} x {rows} inner corners were seen"
+    return f"{seen} instead of {board_text(board)}: another board, or partly hidden or outside the image"
 
 
 def _dictionary_seen(grey: npt.NDArray[np.uint8]) -> str:
@@ -301,12 +264,3 @@ def _dictionary_seen(grey: npt.NDArray[np.uint8]) -> str:
         _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
         seen[name.removesuffix("_1000")] = 0 if ids is None else len(ids)
     return max(seen, key=lambda name: seen[name])
-
-
-def _about_light(grey: npt.NDArray[np.uint8]) -> str | None:
-    low, high = np.percentile(grey, [2, 98])
-    if high < DARK:
-        return "the image is nearly black: more light, or a longer exposure"
-    if low > BRIGHT:
-        return "the image is overexposed: less light, or a shorter exposure"
-    return "the image has hardly any contrast" if high - low < LITTLE_CONTRAST else None

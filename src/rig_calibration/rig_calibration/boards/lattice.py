@@ -49,12 +49,9 @@ def find_lattices(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float
     if len(saddles.pixels) < MIN_CORNERS:
         return []
     links = _in_quads(_mutual_links(saddles), saddles.pixels)
-    return sorted((_lattice(saddles, cells) for cells in _walk(links) if len(cells) >= MIN_CORNERS), key=_minus_area_px)
-
-
-def _minus_area_px(lattice: Array) -> float:
-    """Return the area of the corners' convex hull, negative."""
-    return -cv2.contourArea(cv2.convexHull(lattice[np.isfinite(lattice[:, :, 0])].astype(np.float32)))
+    found = [_lattice(saddles, cells) for cells in _walk(links) if len(cells) >= MIN_CORNERS]
+    hulls = [cv2.convexHull(lattice[np.isfinite(lattice[:, :, 0])].astype(np.float32)) for lattice in found]
+    return [found[k] for k in np.argsort([-cv2.contourArea(hull) for hull in hulls], kind="stable")]
 
 
 def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]) -> Saddles:
@@ -128,16 +125,13 @@ def _in_quads(links: npt.NDArray[np.int64], pixels: Array) -> npt.NDArray[np.int
     kept = np.zeros(links.shape, bool)
     for here, towards in path:
         kept[here[alive], towards[alive]] = True
-    return _keep_mutual(np.where(kept | _answer(kept, links, back), links, -1))
+    answered = kept[links, back] & (links >= 0)
+    return _keep_mutual(np.where(kept | answered, links, -1))
 
 
 def _back_slots(links: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return (n, 4): the slot in which the neighbour links back; 0 where there is no neighbour."""
     return np.argmax(links[links] == np.arange(len(links))[:, None, None], axis=2)
-
-
-def _answer(kept: npt.NDArray[np.bool_], links: npt.NDArray[np.int64], back: npt.NDArray[np.int64]) -> np.ndarray:
-    return kept[links, back] & (links >= 0)
 
 
 def _is_convex(pixels: Array, corners: list[npt.NDArray[np.int64]]) -> npt.NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 Its detections go to :func:`.solve.solve_rig` beside those of boards, or alone:
 
-    solve_rig(cameras, detections, {WAND: wand_points(marks_m)}, symmetry_orders={WAND: wand_symmetry_order(marks_m)})
+    solve_rig(cameras, detections, {WAND: wand_points(marks_m)}, alike={WAND} if wand_looks_alike(marks_m) else ())
 
 Markers on a line at positions s_i appear on a line of the image at u_i = (a s_i + b) / (c s_i + 1): with four or more
 the cross ratio tells whether spots are a wand, with three the spacing does, because the far end of a wand of that
@@ -47,9 +47,19 @@ def wand_points(marks_m: Sequence[float]) -> Array:
     return np.column_stack([marks, np.zeros((len(marks), 2))])
 
 
-def wand_symmetry_order(marks_m: Sequence[float]) -> int:
-    """2 when a wand looks the same from both ends (two markers, or evenly spaced ones), else 1."""
-    return 2 if _symmetric(_marks(marks_m)) else 1
+def wand_looks_alike(marks_m: Sequence[float]) -> bool:
+    """Whether a wand looks the same from both ends (two markers, or evenly spaced ones); InputError where nearly so."""
+    marks = _marks(marks_m)
+    spacing = np.diff(marks) / np.ptp(marks)
+    unlike = float(np.abs(spacing - spacing[::-1]).max())
+    if 1e-3 < unlike < MIN_ASYMMETRY:
+        raise InputError(
+            f"the markers at {', '.join(f'{m:g}' for m in marks)} m are spaced almost, but not quite, "
+            "alike from both ends",
+            where="wand marks",
+            remedy="Space them evenly, or clearly unevenly (0, 0.25, 0.4).",
+        )
+    return unlike <= 1e-3
 
 
 def find_wand(
@@ -89,21 +99,6 @@ def _marks(marks_m: Sequence[float]) -> Array:
             remedy=remedy,
         )
     return marks
-
-
-def _symmetric(marks: Array) -> bool:
-    spacing = np.diff(marks) / np.ptp(marks)
-    mirrored = spacing[::-1]
-    if np.allclose(spacing, mirrored, atol=1e-3):
-        return True
-    if np.abs(spacing - mirrored).max() < MIN_ASYMMETRY:
-        raise InputError(
-            f"the markers at {', '.join(f'{m:g}' for m in marks)} m are spaced almost, but not quite, "
-            "alike from both ends",
-            where="wand marks",
-            remedy="Space them evenly, or clearly unevenly (0, 0.25, 0.4).",
-        )
-    return False
 
 
 # --- Which bright spot is which marker.
@@ -173,9 +168,10 @@ def find_blobs(image: np.ndarray, background: np.ndarray | None = None) -> Array
     mask = (bright > max(PEAK_SHARE * peak, MIN_CONTRAST / 2)).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask)
     lit = _with_rim(mask)
-    found = [
-        _measure(grey, bright, lit, labels == i, boxes[i]) for i in range(1, count) if _compact(boxes[i], mask.size)
-    ]
+    _, _, width, height, area = boxes.T
+    compact = (area >= MIN_AREA_PX) & (area <= MAX_AREA_SHARE * mask.size) & (area > 0.3 * width * height)
+    compact &= np.maximum(width, height) <= MAX_ELONGATION * np.minimum(width, height)
+    found = [_measure(grey, bright, lit, labels == i, boxes[i]) for i in range(1, count) if compact[i]]
     return np.array(sorted(found, key=lambda blob: -blob[2]), float).reshape(-1, 3)[:, :2]
 
 
@@ -206,15 +202,6 @@ def _above(grey: Grey, background: Grey | None) -> npt.NDArray[np.float32]:
 def _with_rim(mask: Grey) -> Grey:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
     return np.asarray(cv2.dilate(mask, disc), np.uint8)
-
-
-def _compact(box: np.ndarray, image_px: int) -> bool:
-    _, _, width, height, area = box
-    return bool(
-        MIN_AREA_PX <= area <= MAX_AREA_SHARE * image_px
-        and max(width, height) <= MAX_ELONGATION * min(width, height)
-        and area > 0.3 * width * height
-    )
 
 
 def _measure(

@@ -9,7 +9,6 @@ pixels) keeps all its pixels and no foreign ones.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,8 @@ import numpy.typing as npt
 from capture_rig.kernel import njit
 from capture_rig.lens import Array
 from capture_rig.small_matrices import solve_positive
+
+from .lattice import HALF
 
 # --- The compiled part: one Levenberg-Marquardt fit, pixel by pixel.
 #
@@ -236,54 +237,28 @@ def _start_light(pixels, count, means, p):
     p[CONTRAST] = contrast if math.isfinite(contrast) else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class XCorners:
-    """n fitted corners, in the order given.
-
-    pixels (n, 2) : pixel centres at whole numbers. sd_px (n,) : standard deviation of a coordinate, from the fit's own
-    residual. contrast (n,) : half the grey step, negative where the field towards the start of row and column (up-left)
-    is black. blur_px (n, 2) : sigma of the blur across the edge that the row crosses, and across the one along the row;
-    the width of a pixel taken off. fit (n,) : share of the window's variance that the model explains, 0..1; 0 for
-    corners outside the image. quadrant_similarity (n,) : 1 where opposite quadrants are equally bright, 0 or less where
-    they differ as much as neighbouring ones (the corner of a single black field).
-    """
-
-    pixels: Array
-    sd_px: Array
-    contrast: Array
-    blur_px: Array
-    fit: Array
-    quadrant_similarity: Array
-
-
 def fit_x_corners(
     image: npt.NDArray[np.uint8], pixels: Array, row_step: Array, column_step: Array, *, marker_margin: float = 1.0
-) -> XCorners:
-    """Refine corners near ``pixels`` (n, 2) in a grey image (H, W).
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Refine corners near ``pixels`` (n, 2) in a grey image (H, W); whether (n,) the model explains each.
 
     ``row_step``, ``column_step`` (n, 2): from the corner to the next in its row, and to the next row, pixels; the two
     must form a right-handed pair (x right, y down). ``marker_margin``: width of the rim of a white field that no marker
     covers, over the field's side (ChArUco).
+
+    Returns (n, 6): place (2), pixel centres at whole numbers; half the grey step, negative where the field towards the
+    start of row and column (up-left) is black; standard deviation of a coordinate, px, from the fit's own residual;
+    sigma of the blur, px, across the edge that the row crosses, and across the one along the row, the width of a pixel
+    taken off. Explained are corners inside the image whose model takes up most of the window's variance, and whose
+    opposite quadrants are more alike than neighbouring ones (unlike the corner of a single black field).
     """
     start, along, down = (np.ascontiguousarray(each, float).reshape(-1, 2) for each in (pixels, row_step, column_step))
     result, means = np.zeros((len(start), SIZE + 3)), np.zeros((len(start), 4))
-    grey = np.ascontiguousarray(image)
-    fit_corners(grey, start, along, down, float(marker_margin), result, means)
+    fit_corners(np.ascontiguousarray(image), start, along, down, float(marker_margin), result, means)
     unexplained, position_variance, total = result[:, SIZE], result[:, SIZE + 1], result[:, SIZE + 2]
-    blur = np.exp(2 * result[:, [LOG_BLUR_U, LOG_BLUR_V]]) - ROUNDING_VARIANCE
-    return XCorners(
-        pixels=result[:, :2].copy(),
-        sd_px=np.sqrt(position_variance),
-        contrast=result[:, 6].copy(),
-        blur_px=np.sqrt(np.maximum(blur, 0.0)),
-        fit=np.where(total > 0, 1 - unexplained / np.maximum(total, 1e-9), 0.0).clip(0, 1),
-        quadrant_similarity=_quadrant_similarity(means),
-    )
-
-
-def _quadrant_similarity(means: Array) -> Array:
-    """Return the smallest step between neighbouring quadrants' means, over the mean step."""
+    blur = np.sqrt(np.maximum(np.exp(2 * result[:, [LOG_BLUR_U, LOG_BLUR_V]]) - ROUNDING_VARIANCE, 0.0))
     first, second = means[:, [0, 2]], means[:, [1, 3]]
-    step = np.abs(first.mean(1) - second.mean(1))
+    step = np.abs(first.mean(1) - second.mean(1))  # of the quadrants' means; NaN where one is empty
     gap = np.maximum(first.min(1) - second.max(1), second.min(1) - first.max(1))
-    return np.nan_to_num(gap / np.maximum(step, 1e-9), nan=-1.0)
+    explained = (total > 0) & (unexplained < (1 - HALF) * total) & (gap > HALF * np.maximum(step, 1e-9))
+    return np.column_stack([result[:, :2], result[:, CONTRAST], np.sqrt(position_variance), blur]), explained

@@ -5,18 +5,23 @@ two: two planar solutions in each camera, times the turns that hide. The right o
 ones scatter: the candidate wins that most frames support. Such pairs are chained along the best supported ones (a
 maximum spanning tree from the best seen camera). Then the views vote likewise for the pose of each target in each
 frame, and for the way round it lies.
+
+The markers of a wand lie on a line and have no pose in a single picture. Pairs of cameras are related by their
+essential matrix (Hartley & Zisserman 2004, chapter 9), the wand's length gives the scale, and the wand itself is
+triangulated. A view of a wand shows all its markers; of one that looks the same from both ends, in either order.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -25,7 +30,6 @@ from capture_rig.rigid import angles_between, inverse, transform
 
 from ..boards.board import TargetDetection
 from .problem import LINE, DetectionPoses, PoseKey, View
-from .wand_poses import RelativePose, line_pose, relative_pose_of_line
 
 # Thresholds: judgement, no measurement.
 TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
@@ -91,15 +95,20 @@ def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> 
 # --- First poses.
 
 
-@dataclass(frozen=True, eq=False)
-class InitialPoses:
-    """First poses in the frame of camera ``root``; ``symmetries`` says, view by view, which hidden turn its
-    ids need."""
+class RelativePose(NamedTuple):
+    """``T_b_a`` (4, 4) maps coordinates in camera a to camera b; ``support``: how many frames it is worth."""
+
+    T_b_a: Array
+    support: float
+
+
+class InitialPoses(NamedTuple):
+    """First poses in the frame of camera ``root``; ``ways``: view by view, which way round it lies."""
 
     root: str
     T_camera_root: dict[str, Array]
     T_root_target: dict[PoseKey, Array]
-    symmetries: tuple[int, ...]
+    ways: tuple[int, ...]
 
 
 def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
@@ -107,14 +116,17 @@ def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> 
     pairs = relative_poses(cameras, views)
     root, T_camera_root = poses_along_spanning_tree(sorted(cameras), pairs)
     T_root_target: dict[PoseKey, Array] = {}
-    symmetries = dict.fromkeys(range(len(views)), 0)
-    for key, rows in _rows_by_key(views).items():
+    ways = dict.fromkeys(range(len(views)), 0)
+    rows_by_key: dict[PoseKey, list[int]] = {}
+    for row, view in enumerate(views):
+        rows_by_key.setdefault(view.key, []).append(row)
+    for key, rows in rows_by_key.items():
         find = line_pose if views[rows[0]].shape.dimension == LINE else _vote
         pose, found = find([(views[i], T_camera_root[views[i].detection.camera]) for i in rows])
         if pose is not None:
             T_root_target[key] = pose
-            symmetries.update(zip(rows, found, strict=True))
-    return InitialPoses(root, T_camera_root, T_root_target, tuple(symmetries[i] for i in range(len(views))))
+            ways.update(zip(rows, found, strict=True))
+    return InitialPoses(root, T_camera_root, T_root_target, tuple(ways.values()))
 
 
 def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
@@ -124,15 +136,14 @@ def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) ->
     for view in views:
         by_camera[view.detection.camera][view.key] = view
     pairs = {}
-    for a in by_camera:
-        for b in (name for name in by_camera if name > a):
-            common = [(by_camera[a][key], by_camera[b][key]) for key in sorted(by_camera[a].keys() & by_camera[b])]
-            boards = [(u.poses, v.poses) for u, v in common if u.poses is not None and v.poses is not None]
-            lines = [(u, v) for u, v in common if u.shape.dimension == LINE]
-            found = [_relative_pose(boards)] if boards else []
-            found += [pose for pose in [relative_pose_of_line(lines, cameras[a], cameras[b])] if pose]
-            if found:
-                pairs[a, b] = max(found, key=lambda pose: pose.support)
+    for a, b in combinations(by_camera, 2):
+        common = [(by_camera[a][key], by_camera[b][key]) for key in sorted(by_camera[a].keys() & by_camera[b])]
+        boards = [(u.poses, v.poses) for u, v in common if u.poses is not None and v.poses is not None]
+        lines = [(u, v) for u, v in common if u.shape.dimension == LINE]
+        found = [_relative_pose(boards)] if boards else []
+        found += [pose for pose in [relative_pose_of_line(lines, cameras[a], cameras[b])] if pose]
+        if found:
+            pairs[a, b] = max(found, key=lambda pose: pose.support)
     return pairs
 
 
@@ -161,24 +172,12 @@ def poses_along_spanning_tree(
     return root, T_camera_root
 
 
-def with_symmetry(view: View, symmetry: int) -> TargetDetection:
-    """Renumber the detection with the ids that its turn calls for."""
-    return replace(view.detection, ids=view.shape.symmetries[symmetry].permutation[view.detection.ids])
-
-
-def _rows_by_key(views: Sequence[View]) -> dict[PoseKey, list[int]]:
-    rows: dict[PoseKey, list[int]] = {}
-    for index, view in enumerate(views):
-        rows.setdefault(view.key, []).append(index)
-    return rows
-
-
 def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
     """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
     voting = np.unique(np.linspace(0, len(common) - 1, VOTING_FRAMES).round().astype(np.int64))
     observed = []
     for a, b in (common[index] for index in voting):
-        own = a.symmetry == 0  # only the turn of one against the other matters
+        own = a.way == 0  # only the turn of one against the other matters
         T_b_a = transform(b.R, b.t) @ inverse(transform(a.R[own], a.t[own]))[:, None]
         weight, distance = a.weight[own, None] * b.weight, np.linalg.norm(b.t, axis=1)
         observed.append(_Allowed(T_b_a.reshape(-1, 4, 4), weight.ravel(), np.tile(distance, own.sum())))
@@ -187,18 +186,18 @@ def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> R
 
 
 def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
-    """Return the pose of one target in one frame that its views agree on best, and the turn that each view needs."""
+    """Return the pose of a target in a frame that its views agree on best, and which way round each view shows it."""
     observed = []
     for view, T_camera_root in seen:
         if (poses := view.poses) is not None:
-            weight = poses.weight * (1 - 1e-6 * (poses.symmetry > 0))  # of two alike, the numbering as it is
+            weight = poses.weight * (1 - 1e-6 * poses.way)  # of two alike, the numbering as it is
             T_root_target = inverse(T_camera_root) @ transform(poses.R, poses.t)
             observed.append(_Allowed(T_root_target, weight, np.linalg.norm(poses.t, axis=1)))
     if not observed:
         return None, [0] * len(seen)
     T, _, rows = _consensus(observed)
     chosen = iter(rows)
-    return T, [0 if view.poses is None else int(view.poses.symmetry[next(chosen)]) for view, _ in seen]
+    return T, [0 if view.poses is None else int(view.poses.way[next(chosen)]) for view, _ in seen]
 
 
 class _Allowed(NamedTuple):
@@ -223,3 +222,101 @@ def _consensus(observed: Sequence[_Allowed]) -> tuple[Array, float, list[int]]:
     votes *= 1 + 1e-6 * np.concatenate([allowed.weight for allowed in observed])
     winner = int(np.argmax(np.round(votes, 9)))
     return candidates[winner], float(votes[winner]), [int(rows[winner]) for rows in best]
+
+
+# --- Wands.
+
+MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
+INLIER_PX, CONFIDENCE = 3.0, 0.9999
+Pair = tuple[Array, Array, Array]  # a wand in a frame: its markers' ideal points (k, 2) in a and b, positions (k, 3)
+
+
+def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b: CameraModel) -> RelativePose | None:
+    """Find the pose of camera b relative to a from wands that both saw in the same frames; None when there are too few.
+
+    Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
+    """
+    ways = range(len(common[0][0].shape.ways)) if common else ()
+    choices = [[(u.ideal, _turned(v.ideal, way), u.shape.points) for way in ways] for u, v in common]
+    if sum(len(u.ideal) for u, _ in common) < MIN_POINTS:
+        return None
+    tolerance = INLIER_PX / float(np.sqrt(a.K[0, 0] * b.K[0, 0]))
+    points_a, points_b = (np.concatenate([pair[side] for pairs in choices for pair in pairs]) for side in (0, 1))
+    found, _ = cv2.findEssentialMat(points_a, points_b, np.eye(3), cv2.RANSAC, CONFIDENCE, tolerance)
+    if found is None or len(found) < 3:
+        return None
+    E = np.asarray(found[:3], float)  # wrong ways round are outliers
+    chosen = [min(pairs, key=lambda pair: _epipolar_distance(E, pair)) for pairs in choices]
+    fitting = [pair for pair in chosen if _epipolar_distance(E, pair) < tolerance]
+    return _with_scale(E, fitting) if fitting else None
+
+
+def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
+    """Find the pose of a wand in one frame by triangulation, and the way round that each view shows it.
+
+    ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views tell it.
+    """
+    best: tuple[float, Array | None, list[int]] = (np.inf, None, [0] * len(seen))
+    if len(seen) < 2:
+        return None, best[2]
+    every = range(len(seen[0][0].shape.ways))
+    for second in every:  # the first view stays as it is, the second decides
+        pose, _ = _fit_line(seen[:2], [0, second])
+        if pose is None:
+            continue
+        others = [int(np.argmin([_miss(pose, *one, way) for way in every])) for one in seen[2:]]  # they follow
+        pose, miss = _fit_line(seen, [0, second, *others])
+        if pose is not None and miss < best[0]:
+            best = miss, pose, [0, second, *others]
+    return best[1], best[2]
+
+
+def _turned(ideal: Array, way: int) -> Array:
+    return ideal[::-1] if way else ideal
+
+
+def _epipolar_distance(E: Array, pair: Pair) -> float:
+    """Return the largest Sampson distance, in units of the focal length."""
+    a, b = (np.column_stack([pair[side], np.ones(len(pair[side]))]) for side in (0, 1))
+    line_b, line_a = a @ E.T, b @ E
+    slope = np.sqrt((line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1))
+    return float((np.abs((b * line_b).sum(1)) / np.maximum(slope, 1e-12)).max())
+
+
+def _with_scale(E: Array, fitting: Sequence[Pair]) -> RelativePose:
+    points_a, points_b = (np.concatenate([pair[side] for pair in fitting]) for side in (0, 1))
+    _, R, direction, _ = cv2.recoverPose(E, points_a, points_b, np.eye(3))
+    T = transform(np.asarray(R, float), np.asarray(direction, float).reshape(3))
+    ratios = []
+    for ideal_a, ideal_b, points in fitting:
+        first, last = (_triangulate([ideal_a[end], ideal_b[end]], [np.eye(4), T]) for end in (0, -1))
+        ratios.append(np.linalg.norm(points[-1] - points[0]) / np.linalg.norm(last - first))
+    T[:3, 3] *= np.median(ratios)
+    return RelativePose(T, len(fitting))
+
+
+def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Array:
+    """Return the point (3,) in the root frame, by the linear method (Hartley & Zisserman 2004, 12.2)."""
+    rows = [point[axis] * T[2] - T[axis] for point, T in zip(ideal, T_camera_root, strict=True) for axis in (0, 1)]
+    solution = np.linalg.svd(np.array(rows))[2][-1]
+    return solution[:3] / solution[3]
+
+
+def _fit_line(seen: Sequence[tuple[View, Array]], ways: Sequence[int]) -> tuple[Array | None, float]:
+    """The wand's pose, and how far (share of the distance) its markers are seen from it."""
+    model, places = seen[0][0].shape.points, [T for _, T in seen]
+    shown = [_turned(view.ideal, way) for (view, _), way in zip(seen, ways, strict=True)]
+    points = np.array([_triangulate(marker, places) for marker in zip(*shown, strict=True)], float)
+    if not np.isfinite(points).all():
+        return None, np.inf
+    R = Rotation.align_vectors(points[-1] - points[0], model[-1] - model[0])[0].as_matrix()  # the smallest that does
+    pose = transform(R, (points - model @ R.T).mean(0))
+    return pose, float(np.mean([_miss(pose, *one, way) for one, way in zip(seen, ways, strict=True)]))
+
+
+def _miss(pose: Array, view: View, T_camera_root: Array, way: int) -> float:
+    T = T_camera_root @ pose
+    seen = T[:3, :3] @ view.shape.points.T + T[:3, 3:]
+    if np.any(seen[2] <= 0):
+        return np.inf
+    return float(np.mean(np.linalg.norm(seen[:2] / seen[2] - _turned(view.ideal, way).T, axis=0)))

@@ -1,25 +1,24 @@
 """What the solver is given, checked and put in order: cameras, rigid targets, detections.
 
-A target is a set of points about their centroid. What a picture does not show of it is part of its shape: rotations
-that map the points onto themselves (a symmetric target), and, of a board, how far its middle stands out of its plane.
+A target is a set of points about their centroid. What a picture does not show of it is part of its shape: whether half
+a turn maps the points onto themselves, and, of a board, how far its middle stands out of its plane.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
 from capture_rig.rigid import rotation_matrix
 
-from ..boards.board import Board, TargetDetection
+from ..boards.board import TargetDetection
 
 LENS = 12  # fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
 PoseKey = tuple[str, int]  # (target, frame): one pose of one target
@@ -47,7 +46,7 @@ def check_problem(
     cameras: Mapping[str, CameraModel],
     detections: Sequence[TargetDetection],
     targets: Mapping[str, npt.ArrayLike],
-    symmetry_orders: Mapping[str, int],
+    alike: Collection[str],
     intrinsics_sd: Mapping[str, npt.ArrayLike],
 ) -> Problem:
     """Put the input in an order that does not depend on the order given; InputError for images of another size than
@@ -65,7 +64,7 @@ def check_problem(
     sd = {name: np.asarray(intrinsics_sd[name], float) for name in sorted(intrinsics_sd)}
     return Problem(
         models,
-        shapes_of(targets, symmetry_orders),
+        shapes_of(targets, alike),
         ordered,
         {name: np.pad(given, (0, LENS - len(given))) for name, given in sd.items()},
     )
@@ -83,20 +82,12 @@ THIN = 0.02  # of the target's length: points that spread less across lie, in ef
 
 
 @dataclass(frozen=True, eq=False)
-class Symmetry:
-    """A turn that maps the target onto itself: point i comes to lie on point ``permutation[i]``."""
-
-    permutation: npt.NDArray[np.int64]
-    R: Array
-
-
-@dataclass(frozen=True, eq=False)
 class TargetShape:
     """Points (n, 3) of a rigid target about their ``centroid`` (3,), metres, target frame.
 
     ``dimension`` is LINE, PLANE or VOLUME. ``bend`` (n, 2): how far a corner stands out along z where the middle does
-    by one metre, for a sheet that is bent along x and along y. ``symmetries`` are the turns that a picture does not
-    show, the identity first.
+    by one metre, for a sheet that is bent along x and along y. ``ways`` (1 or 2, 3, 3): the identity and, where it maps
+    the points onto themselves in reverse order, half a turn: the ways round that a picture does not tell apart.
     """
 
     name: str
@@ -104,37 +95,35 @@ class TargetShape:
     centroid: Array
     bend: Array
     dimension: int
-    symmetries: tuple[Symmetry, ...]
+    ways: Array
+
+    def numbered(self, ids: npt.NDArray[np.int64], way: int) -> npt.NDArray[np.int64]:
+        """Return the ids of the same points, the target lying the other ``way`` round."""
+        return len(self.points) - 1 - ids if way else ids
 
 
-def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 1) -> TargetShape:
-    """Describe the shape of a target with points (n, 3) that looks alike after 1/``symmetry_order`` of a turn."""
+def target_shape(name: str, points_target: npt.ArrayLike, looks_alike: bool = False) -> TargetShape:
+    """Describe the shape of a target with points (n, 3), which may look alike after half a turn."""
     points = np.asarray(points_target, float)
     centred = points - points.mean(0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
     dimension = max(int(np.sum(spread > THIN * spread[0])), 1)
     axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
-    turns = [rotation_matrix(axis * 2 * np.pi * k / symmetry_order) for k in range(symmetry_order)]
-    symmetries = tuple(Symmetry(cKDTree(centred).query(centred @ R.T)[1], R) for R in turns)
+    ways = rotation_matrix(np.pi * np.arange(1 + looks_alike)[:, None] * axis)
     bend = 1.0 - (centred[:, :2] / np.maximum(np.abs(centred[:, :2]).max(axis=0), 1e-300)) ** 2
-    return TargetShape(name, centred, points.mean(0), bend, dimension, symmetries)
+    return TargetShape(name, centred, points.mean(0), bend, dimension, ways)
 
 
-def symmetry_order_of(board: Board) -> int:
-    """Tell how many ways round a board may lie without a picture showing it: 1 (its corners are told apart), or 2."""
-    return 1 if board.half_turn_is_visible else 2
-
-
-def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str, int]) -> dict[str, TargetShape]:
+def shapes_of(targets: Mapping[str, npt.ArrayLike], alike: Collection[str] = ()) -> dict[str, TargetShape]:
     """Describe the shapes of all targets, in name order."""
-    return {name: target_shape(name, targets[name], symmetry_orders.get(name, 1)) for name in sorted(targets)}
+    return {name: target_shape(name, targets[name], name in alike) for name in sorted(targets)}
 
 
 # --- Step 1: where a target may be, by one picture of it alone.
 #
 # A plane seen by a camera has two poses that fit, mirror images of each other about the line of sight (Collins and
 # Bartoli 2014, "Infinitesimal Plane-based Pose Estimation"); a small or distant board leaves both possible. A target
-# that looks alike after a turn multiplies them. All are kept until other cameras or frames tell.
+# that looks alike after half a turn doubles them. All are kept until other cameras or frames tell.
 
 MIN_CORNERS = 4
 SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
@@ -144,14 +133,14 @@ SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
 class DetectionPoses:
     """Poses of a (centred) target in the camera's frame that fit one detection, by falling fit.
 
-    R (h, 3, 3), t (h, 3): x_camera = R x + t; rms_px (h,): distance of the corners, undistorted; symmetry (h,): which
-    of the target's hidden turns, 0 being the corners as they were numbered.
+    R (h, 3, 3), t (h, 3): x_camera = R x + t; rms_px (h,): distance of the corners, undistorted; way (h,): which
+    of the ways round, 0 being the corners as they were numbered.
     """
 
     R: Array
     t: Array
     rms_px: Array
-    symmetry: npt.NDArray[np.int64]
+    way: npt.NDArray[np.int64]
 
     @property
     def weight(self) -> Array:
@@ -159,15 +148,11 @@ class DetectionPoses:
         return (self.rms_px.min() / self.rms_px) ** 2
 
 
-def detection_poses(detection: TargetDetection, camera: CameraModel, shape: TargetShape) -> DetectionPoses | None:
-    """Find all poses that one detection allows; None when its corners are too few, or lie on a line, or fit no pose."""
-    return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
-
-
 def poses_of(
     ids: npt.NDArray[np.int64], ideal: Array, camera: CameraModel, shape: TargetShape
 ) -> DetectionPoses | None:
-    """Find the same from corners without distortion (n, 2)."""
+    """Find all poses that corners without distortion (n, 2) allow; None when they are too few, or lie on a line, or fit
+    no pose."""
     reached = np.isfinite(ideal).all(axis=1)
     points, ideal = shape.points[ids[reached]], ideal[reached]
     if shape.dimension == LINE or len(points) < MIN_CORNERS:
@@ -183,13 +168,12 @@ def poses_of(
     if not distinct:
         return None
     rms, R, t = (np.array(column) for column in zip(*distinct, strict=True))
-    rotated = [R @ symmetry.R.T for symmetry in shape.symmetries]
-    copies = len(rotated)
+    ways, each = shape.ways, len(rms)
     return DetectionPoses(
-        np.concatenate(rotated),
-        np.tile(t, (copies, 1)),
-        np.tile(np.maximum(rms, 1e-9), copies),
-        np.repeat(np.arange(copies), len(rms)),
+        (R @ ways[:, None].swapaxes(-1, -2)).reshape(-1, 3, 3),
+        np.tile(t, (len(ways), 1)),
+        np.tile(np.maximum(rms, 1e-9), len(ways)),
+        np.repeat(np.arange(len(ways)), each),
     )
 
 

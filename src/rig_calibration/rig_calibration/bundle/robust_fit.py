@@ -34,7 +34,7 @@ from .adjustment import (
     shared_of,
     step,
 )
-from .initial_poses import InitialPoses, most_seen, with_symmetry
+from .initial_poses import InitialPoses, most_seen
 from .problem import LINE, Problem, View
 from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import Covariance, covariance, displacement_of, whitened
@@ -44,6 +44,7 @@ DISPLACEMENT_ROUNDS = 8
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
+FAR_OFF = "these corners of it contradict the others"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
 SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
@@ -111,10 +112,9 @@ class Fit:
         return FreeUnknowns(shared, np.isin(np.arange(len(self.state.position)), self.seen.pose[self.rows]))
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
-        """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
-        known, layout = self.problem.lens_sd, self.state.layout
-        held = [row for row in range(layout.cameras) if not free.shared[layout.lens(row)].any()]
-        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known and row in held}
+        """Covariances in the gauge that ``free`` sets; lenses that are not adjusted are as uncertain as given."""
+        known = self.problem.lens_sd
+        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
         return covariance(self.state, self.scale, self.used, free, lenses, self.displacement_m, self.prior)
 
     def rows_at_solution(self) -> Linearised:
@@ -122,10 +122,13 @@ class Fit:
         return robust_rows(self.state, self.used.weighted(np.array(1 / self.scale)))
 
 
-def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, refine_intrinsics: bool = False) -> Fit:
+def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
     """Make the first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
     keys, names, targets = problem.keys, list(problem.cameras), list(problem.shapes)
-    detections = tuple(with_symmetry(view, symmetry) for view, symmetry in zip(views, initial.symmetries, strict=True))
+    detections = tuple(
+        replace(view.detection, ids=view.shape.numbered(view.detection.ids, way))
+        for view, way in zip(views, initial.ways, strict=True)
+    )
     seen = observe(detections, names, keys, problem.shapes)
     state = _first_state(problem, initial)
     placed = np.array([key in initial.T_root_target for key in keys])[seen.pose]
@@ -139,9 +142,6 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, re
     layout = state.layout
     sd = np.full(layout.size, np.inf)
     sd[layout.scales[np.array(targets) != most_seen(problem.detections, targets)]] = SIZE_SD
-    if refine_intrinsics:
-        for row, name in enumerate(names):
-            sd[layout.lens(row)] = np.where(problem.lens_sd[name] > 0, problem.lens_sd[name], np.inf)
     prior = Prior(shared_of(state), np.diag(sd**-2.0))
     rows = np.flatnonzero(keep)
     return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
@@ -224,15 +224,10 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     weight = fit.seen.weight.copy()
     weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
     detections = fit.detections
-    far = np.linalg.norm(residuals_px(fit.state, fit.used), axis=2)
     named = [RejectedDetection(detections[row], reason) for row, reason in out]
     for row in np.flatnonzero(wrong.any(axis=1)):
         corners = detections[row].ids[np.flatnonzero(wrong[row])]
-        named.append(
-            RejectedDetection(
-                detections[row], f"up to {far[row][wrong[row]].max():.1f} px off", tuple(corners.tolist())
-            )
-        )
+        named.append(RejectedDetection(detections[row], FAR_OFF, tuple(corners.tolist())))
     rows = np.delete(fit.rows, [row for row, _ in out])
     return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
 

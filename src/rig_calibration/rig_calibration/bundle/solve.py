@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +15,8 @@ from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
 from .adjustment import FreeUnknowns, Prior, normal_equations, reduce, shared_of, step
-from .initial_poses import initial_poses, require_connected
-from .problem import PoseKey, Problem, check_problem, views_of
+from .initial_poses import cameras_by_pose, initial_poses, require_connected
+from .problem import LINE, PoseKey, Problem, check_problem, views_of
 from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit
 from .state import State, camera_with, residuals_px
 from .uncertainty import inverse_over, whitened
@@ -65,66 +65,43 @@ def solve_rig(
     targets: Mapping[str, npt.ArrayLike],
     *,
     reference: PoseKey | None = None,
-    symmetry_orders: Mapping[str, int] | None = None,
+    alike: Collection[str] = (),
     intrinsics_sd: Mapping[str, npt.ArrayLike] | None = None,
-    refine_intrinsics: bool = False,
 ) -> RigSolution:
     """Solve for the poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of
     known size.
 
     targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target in the same frame
     is in one place. reference : (target, frame) whose frame the poses are in; by default that of the camera that is
-    linked best. symmetry_orders : of targets whose turns a picture does not show (:func:`.problem.symmetry_order_of`):
-    their numbering is settled by what the cameras agree on.
-    intrinsics_sd : by camera, standard deviations of fx fy cx cy [and the distortion]; they enlarge the poses'
-    covariance. refine_intrinsics : adjust the lenses as well, with a prior that is so wide.
+    linked best. alike : targets that look the same after half a turn: their numbering is settled by what the cameras
+    agree on. intrinsics_sd : by camera, standard deviations of fx fy cx cy [and the distortion]; they enlarge the
+    poses' covariance.
 
     The same input gives the same result to the last bit, in whatever order detections and names come. Raises InputError
-    for detections without camera, target or fitting image size, for cameras that see nothing and for groups of cameras
-    that share no view (both also when nothing is left after contradictory detections were left out), and for a
-    reference that was not seen or contradicts the rest.
+    for detections of another image size, for cameras that see nothing and groups that share no view (both also
+    when nothing is left after contradictory detections were left out), and for a reference that contradicts the rest.
     """
-    problem = check_problem(cameras, detections, targets, symmetry_orders or {}, intrinsics_sd or {})
-    _check_refinement(problem, refine_intrinsics)
+    problem = check_problem(cameras, detections, targets, alike, intrinsics_sd or {})
     # 1. The pose of each target in each picture by itself: all solutions.
     views = [view.within_reach for view in views_of(problem.detections, problem.cameras, problem.shapes)]
+    views = [view for view in views if view.shape.dimension != LINE or len(view.ideal) == len(view.shape.points)]
     # 2. Are all cameras tied together by common views?
     useless = {view.detection.camera: NO_POSE for view in views if not view.links}
     require_connected(problem.cameras, [view.detection for view in views if view.links], useless)
     # 3. First poses, by consensus of pairs of cameras and of the views of each target.
     initial = initial_poses(problem.cameras, views)
     # 4, 5. Bundle adjustment; what contradicts the rest is left out, and named.
-    fit = settled(start_fit(problem, views, initial, refine_intrinsics))
+    fit = settled(start_fit(problem, views, initial))
     require_connected(problem.cameras, fit.detections, fit.reasons)
     # 6. The frame asked for, and the covariance in it.
-    row = _row_of(reference, fit)
+    row = None if reference is None else problem.keys.index(reference)
+    if row is not None and row not in fit.used.pose:
+        what = f"the reference, target '{problem.keys[row][0]}' in frame {problem.keys[row][1]}, contradicts the rest"
+        raise InputError(what, remedy="Take its pictures again.")
     return _solution(fit if row is None else _in_frame_of(row, fit), row)
 
 
-def _check_refinement(problem: Problem, refine_intrinsics: bool) -> None:
-    missing = sorted(set(problem.cameras) - set(problem.lens_sd))
-    if refine_intrinsics and missing:
-        raise InputError(
-            f"the intrinsics of {', '.join(missing)} are to be refined, but how well they are known is not given",
-            remedy="Calibrate them (sagoma calibrate intrinsics) and keep the reports beside them; or do not refine.",
-        )
-
-
 # --- The frame of the solution.
-
-
-def _row_of(reference: PoseKey | None, fit: Fit) -> int | None:
-    """Return the row of the pose that is the reference; InputError when it was not seen, or contradicts the rest."""
-    if reference is None:
-        return None
-    keys = fit.problem.keys
-    row = keys.index(reference) if reference in keys else -1
-    if row not in fit.used.pose:
-        raise InputError(
-            f"the reference, target '{reference[0]}' in frame {reference[1]}, was not seen or contradicts the rest",
-            remedy="Show it to a camera, or take its pictures again.",
-        )
-    return row
 
 
 def _in_frame_of(row: int, fit: Fit) -> Fit:
@@ -233,12 +210,7 @@ def _place(out: RejectedDetection) -> tuple[str, int, str]:
 
 
 def _undecided(fit: Fit) -> tuple[str, ...]:
-    """Cameras linked to the others by a single pose of a target whose turns cannot be seen."""
-    used = fit.used
-    shared = np.bincount(used.pose)[used.pose] > 1
-    links: dict[str, list[str]] = {name: [] for name in fit.problem.cameras}
-    for detection, linked in zip(fit.detections, shared, strict=True):
-        if linked:
-            links[detection.camera].append(detection.target)
-    hides = {name for name, shape in fit.problem.shapes.items() if len(shape.symmetries) > 1}
-    return tuple(name for name, targets in links.items() if len(targets) == 1 and targets[0] in hides)
+    """Cameras linked to the others by a single pose of a target that looks alike after half a turn."""
+    shared = [(target, names) for (target, _), names in cameras_by_pose(fit.detections).items() if len(names) > 1]
+    links = {name: [target for target, names in shared if name in names] for name in fit.problem.cameras}
+    return tuple(name for name, of in links.items() if len(of) == 1 and len(fit.problem.shapes[of[0]].ways) > 1)

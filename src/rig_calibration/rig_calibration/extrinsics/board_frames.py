@@ -19,9 +19,8 @@ from capture_rig.rigid import inverse
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import common_frames, groups_of
-from ..bundle.problem import symmetry_order_of
 from ..bundle.solve import solve_rig
-from .verdict import FLOOR
+from .calibrate import FLOOR
 
 MAX_FRAMES = 160
 
@@ -40,15 +39,10 @@ def shared_frames(detections: Iterable[TargetDetection], most: int = MAX_FRAMES)
     return tuple(shared[:: max(1, -(-len(shared) // most))])
 
 
-def shift_px(one: TargetDetection, two: TargetDetection) -> float:
-    """Measure how far the board moved between two detections of one camera: median over the corners both show, px."""
-    _, here, there = np.intersect1d(one.ids, two.ids, return_indices=True)
-    return _distance(one.pixels[here], two.pixels[there])
-
-
 # --- When the board lies on the floor.
 
-FloorAt = int | Literal["first", "last", "lowest"]
+LOWEST: Literal["lowest"] = "lowest"
+FloorAt = int | Literal["lowest"]
 
 # Thresholds: judgement, no measurement.
 BELOW_M = 0.03  # so far may another board's corner, or a camera, lie below the plane of a board on the floor
@@ -60,12 +54,11 @@ def frames_on_floor(
 ) -> tuple[int, ...]:
     """Find the frames in which the carried ``board`` lies on the floor, at one place.
 
-    ``when``: a frame, the first or last one that shows the board, or "lowest": found by solving for the rig without a
-    floor. Raises InputError when there is no such frame.
+    ``when``: a frame, or "lowest": found by solving for the rig without a floor. Raises InputError when there is no
+    such frame.
     """
-    if when != "lowest":
-        shown = {detection.frame_index for detection in moving}
-        return resting_around(moving, min(shown) if when == "first" else max(shown) if when == "last" else when)
+    if when != LOWEST:
+        return resting_around(moving, when)
     chosen = set(shared_frames(moving))
     if not chosen:
         raise InputError(
@@ -73,9 +66,9 @@ def frames_on_floor(
             remedy="Carry it where two or more cameras see it at once.",
         )
     some = [detection for detection in moving if detection.frame_index in chosen]
-    solution = solve_rig(
-        cameras, some, {some[0].target: board.corners_board}, symmetry_orders={some[0].target: symmetry_order_of(board)}
-    )
+    target = some[0].target
+    alike = () if board.half_turn_is_visible else (target,)
+    solution = solve_rig(cameras, some, {target: board.corners_board}, alike=alike)
     poses = {frame_index: T for (_, frame_index), T in solution.T_reference_target.items()}
     centres = [inverse(T)[:3, 3] for T in solution.T_camera_reference.values()]
     lying = lying_frames(poses, board.corners_board, centres)
@@ -91,7 +84,7 @@ def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> t
     if frame_index not in groups:
         raise InputError(
             f"no camera shows the board in frame {frame_index}",
-            remedy=f"Name a frame that does, of {_ranges(list(groups))}.",
+            remedy=f"Name a frame that does, from {min(groups)} to {max(groups)}.",
         )
     frames = list(groups)
     here = frames.index(frame_index)
@@ -119,22 +112,19 @@ def lying_frames(
     if not found:
         raise InputError(
             "in no frame does the carried board lie on the floor: each time it was elsewhere below that plane",
-            remedy="Lay it on the floor at the end and say when (--floor-at last or --floor-at FRAME), give pictures "
-            "of it on the floor (--floor), or do without a floor (--floor-at none).",
+            remedy="Lay it on the floor and say when (--floor-at FRAME), give pictures of it there (--floor), or do "
+            "without a floor (--floor-at none).",
         )
     return tuple(sorted(found))
 
 
 def _rests(one: Sequence[TargetDetection], other: Sequence[TargetDetection]) -> bool:
     """Do all cameras that saw the board both times see it at the same place, and is there one?"""
-    ways = [shift_px(a, b) for a in one for b in other if a.camera == b.camera]
+    ways = []
+    for a, b in ((a, b) for a in one for b in other if a.camera == b.camera):
+        _, here, there = np.intersect1d(a.ids, b.ids, return_indices=True)
+        ways.append(_distance(a.pixels[here], b.pixels[there]))
     return bool(ways) and max(ways) <= SAME_PLACE_PX
-
-
-def _ranges(frames: Sequence[int]) -> str:
-    """Numbers as text, at most eight of them."""
-    shown = [str(frame_index) for frame_index in frames[:8]]
-    return ", ".join(shown) + (f", ... {frames[-1]}" if len(frames) > 8 else "")
 
 
 # --- The corners of a still board, averaged over frames without the hands that cover some.
@@ -146,9 +136,8 @@ MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show 
 LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels and the lens err alike in every frame
 
 
-def average_still_board(detections: Sequence[TargetDetection], board: Board) -> tuple[TargetDetection, tuple[int, ...]]:
-    """Average one camera's ``detections`` of a board that lies still, as one of FLOOR; and the frames that show it
-    elsewhere.
+def average_still_board(detections: Sequence[TargetDetection], board: Board) -> TargetDetection:
+    """Average one camera's ``detections`` of a board that lies still, as one of FLOOR.
 
     The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
     corner's frames that stray from the median (a hand at its edge) are left out. Needs one detection or more.
@@ -166,8 +155,7 @@ def average_still_board(detections: Sequence[TargetDetection], board: Board) -> 
     single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
     sigma = float(np.hypot(single / np.sqrt(np.median(count)), LASTING_PX))
     kept = count >= least
-    averaged = replace(ordered[0], frame_index=0, target=FLOOR, ids=ids[kept], pixels=mean[kept], sigma_px=sigma)
-    return averaged, tuple(ordered[index].frame_index for index in np.flatnonzero(~together))
+    return replace(ordered[0], frame_index=0, target=FLOOR, ids=ids[kept], pixels=mean[kept], sigma_px=sigma)
 
 
 def _table(detections: Sequence[TargetDetection], corners: int, half_turn_is_visible: bool) -> Array:
@@ -194,8 +182,6 @@ def _distance(one: Array, other: Array) -> float:
 
 ENOUGH_SHARED = 12  # so many frames tie one camera to another
 ENOUGH_FRAMES = 40
-CELLS = 3  # an image is divided into so many cells along its width and along its height
-ENOUGH_CELLS = 5  # of these, a camera should have seen the board in so many
 
 
 def motion_advice(cameras: Sequence[str], detections: Sequence[TargetDetection]) -> tuple[int, str]:
@@ -209,12 +195,4 @@ def motion_advice(cameras: Sequence[str], detections: Sequence[TargetDetection])
         count = shared.get((one, other), 0)
         shown = f"share {count} of {ENOUGH_SHARED} frames" if count else "share no view"
         return frames, f"{one} and {other} {shown}: carry the board where both see it"
-    if frames < ENOUGH_FRAMES:
-        return frames, f"carry on: {frames} of {ENOUGH_FRAMES} frames"
-    cells: dict[str, set[tuple[int, ...]]] = {name: set() for name in sorted(cameras)}
-    for seen in detections:
-        cells[seen.camera].add(tuple((seen.pixels.mean(axis=0) / seen.image_size * CELLS).astype(int).tolist()))
-    poorest = min(cells, key=lambda name: len(cells[name]))
-    if len(cells[poorest]) < ENOUGH_CELLS:
-        return frames, f"carry the board to more places of {poorest}'s image: near and far, left and right"
-    return frames, ""
+    return frames, "" if frames >= ENOUGH_FRAMES else f"carry on: {frames} of {ENOUGH_FRAMES} frames"

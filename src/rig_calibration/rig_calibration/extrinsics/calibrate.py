@@ -1,50 +1,123 @@
 """From detections of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics (thesis
-6.1)."""
+6.1).
+
+A tape measure is part of the evidence: it alone can tell that the board's fields have another size than stated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import nan
 
 import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
 from capture_rig.lens import Array
 from capture_rig.rig import Rig
-from capture_rig.rigid import inverse, transform
+from capture_rig.rigid import inverse
+from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded, judge
 
 from ..boards.board import Board, TargetDetection
-from ..boards.wand import WAND
-from ..bundle.problem import detection_poses, symmetry_order_of, target_shape
+from ..bundle.initial_poses import cameras_by_pose
 from ..bundle.robust_fit import CLEAR_SDS
 from ..bundle.solve import RigSolution, solve_rig
-from .verdict import FLOOR, RigCalibration, TapeMeasure
-from .world import WorldChoice, board_in_world, camera_figures, common_volume, placed_cameras, world_of_level_camera
+from .world import (
+    CameraFigures,
+    CommonVolume,
+    WorldChoice,
+    board_in_world,
+    camera_figures,
+    common_volume,
+    world_of_level_camera,
+)
 
-MOVING = "moving"
-"""Name of a target, beside FLOOR and WAND."""
+FLOOR, MOVING = "floor", "moving"
+"""Names of targets, beside WAND."""
 FLOOR_POSE = (FLOOR, 0)
-__all__ = ["FLOOR", "MOVING", "WAND", "RigCalibration", "Target", "calibrate_rig"]
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
     """Something of known shape: points (n, 3) in its own frame, metres.
 
-    symmetry_order : how many ways round it may lie without a picture showing it (1: its points are told apart).
+    looks_alike : after half a turn, so that a picture does not show which way round it lies.
     T_world_target (4, 4) : where it lies in the world; None of what is carried.
     """
 
     points: Array
-    symmetry_order: int = 1
+    looks_alike: bool = False
     T_world_target: Array | None = None
 
     @classmethod
     def of(cls, board: Board, choice: WorldChoice | None = None) -> Target:
         """Return a board as a target; with a ``choice``, one on the floor from which the world is measured so."""
         T_world_board = None if choice is None else board_in_world(board.corners_board, choice)
-        return cls(board.corners_board, symmetry_order_of(board), T_world_board)
+        return cls(board.corners_board, not board.half_turn_is_visible, T_world_board)
+
+
+@dataclass(frozen=True)
+class TapeMeasure:
+    """A length that a person measured: between two lenses, or (``other`` None) of a lens above the floor; and the same
+    in the calibration, once there is one."""
+
+    one: str
+    other: str | None
+    tape_m: float
+    calibrated_m: float = nan
+
+    def checked(self, rig: Rig) -> TapeMeasure:
+        """Look the length up in the calibration. Raises InputError for an unknown camera and a useless length."""
+        if not self.tape_m >= MIN_TAPE_M:
+            what, remedy = f"{self.tape_m} m is no length to check with", f"Measure {MIN_TAPE_M:.1f} m or more."
+            raise InputError(what, where=f"tape at {self.one}", remedy=remedy)
+        centre = rig.camera(self.one).centre_world
+        length = centre[2] if self.other is None else np.linalg.norm(centre - rig.camera(self.other).centre_world)
+        return replace(self, calibrated_m=float(length))
+
+    @property
+    def ratio(self) -> float:
+        """Calibrated over measured: 1.04 means that every length came out 4 % too long."""
+        return self.calibrated_m / self.tape_m
+
+    def __str__(self) -> str:
+        what = f"height of {self.one}" if self.other is None else f"{self.one} to {self.other}"
+        return f"{what}: {self.tape_m:.3f} m by tape, {self.calibrated_m:.3f} m calibrated ({self.ratio - 1:+.1%})"
+
+
+@dataclass(frozen=True, eq=False)
+class RigCalibration:
+    """The rig and everything that is known about it.
+
+    common : what its cameras see in common. floor_world (n, 3) : the points of the floor target; None without one: z up
+    is then a guess. tape : what was measured by hand.
+    """
+
+    rig: Rig
+    common: CommonVolume
+    solution: RigSolution
+    floor_world: Array | None
+    figures: Mapping[str, CameraFigures]
+    tape: tuple[TapeMeasure, ...] = ()
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the corners, each detection counted alike."""
+        squares, counts = zip(*((f.rms_px**2, f.detections) for f in self.figures.values()), strict=True)
+        return float(np.sqrt(np.average(squares, weights=counts)))
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """GOOD, USABLE or REDO, with every finding and its remedy: the rig's, each camera's, and the footage's. Where
+        the cameras stand to each other and to the person is judged by sagoma doctor."""
+        findings = [*_of_floor(self), *_of_scale(self)]
+        findings += [found for name in self.figures for found in _of_camera(name, self)]
+        # a floor board alone shares one view with every camera: there is nothing in it that could contradict
+        carried = any(detection.target != FLOOR for detection in self.solution.detections)
+        return judge([*findings, *(footage_findings(self.solution) if carried else ())])
 
 
 def calibrate_rig(
@@ -53,17 +126,13 @@ def calibrate_rig(
     targets: Mapping[str, Target],
     *,
     intrinsics_sd: Mapping[str, npt.ArrayLike] | None = None,
-    refine_intrinsics: bool = False,
-    moved_frames: Mapping[str, tuple[int, int]] | None = None,
-    floor_guess: tuple[int, ...] = (),
     tape: Iterable[TapeMeasure] = (),
 ) -> RigCalibration:
     """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.
 
     The target called FLOOR, seen in frame 0, tells where the world is; without it the first camera is taken for level.
-    Every detection names its target. ``intrinsics_sd``, ``refine_intrinsics`` : as :func:`solve_rig` takes them.
-    ``moved_frames``, ``floor_guess`` : as RigCalibration. Raises InputError naming cameras that see nothing, or groups
-    that share no view.
+    Every detection names its target. ``intrinsics_sd`` : as :func:`solve_rig` takes them. Raises InputError naming
+    cameras that see nothing, or groups that share no view.
     """
     floor = targets.get(FLOOR)
     # all cameras and targets at once, in the frame of what lies on the floor
@@ -72,9 +141,8 @@ def calibrate_rig(
         detections,
         {name: target.points for name, target in targets.items()},
         reference=FLOOR_POSE if floor is not None else None,
-        symmetry_orders={name: target.symmetry_order for name, target in targets.items()},
+        alike={name for name, target in targets.items() if target.looks_alike},
         intrinsics_sd=intrinsics_sd,
-        refine_intrinsics=refine_intrinsics,
     )
     # z up, the origin on the floor (thesis 6.1)
     if floor is None or floor.T_world_target is None:
@@ -82,36 +150,111 @@ def calibrate_rig(
     else:
         T_world_reference = floor.T_world_target @ inverse(solution.T_reference_target[FLOOR_POSE])
         on_floor = floor.points @ floor.T_world_target[:3, :3].T + floor.T_world_target[:3, 3]
-    cameras_world = placed_cameras(solution, T_world_reference)
-    common = common_volume(cameras_world)
-    rig = Rig(cameras_world, common.box)
-    return RigCalibration(
-        rig=rig,
-        common=common,
-        solution=solution,
-        floor={} if floor is None else _floor_views(solution, floor.points),
-        floor_world=on_floor,
-        figures=camera_figures(rig, solution, on_floor, FLOOR),
-        floor_guess=floor_guess,
-        moved_frames=moved_frames or {},
-        tape=tuple(measure.checked(rig) for measure in tape),
+    placed = solution.T_camera_reference.items()
+    cameras_world = tuple(
+        replace(solution.cameras[name], T_camera_world=T @ inverse(T_world_reference)) for name, T in sorted(placed)
     )
+    common = common_volume(cameras_world)
+    rig, measured = Rig(cameras_world, common.box), tuple(tape)
+    figures = camera_figures(rig, solution)
+    return RigCalibration(rig, common, solution, on_floor, figures, tuple(measure.checked(rig) for measure in measured))
 
 
-def _floor_views(solution: RigSolution, points: Array) -> dict[str, bool]:
-    """Tell, by camera that shows the floor target, whether its picture alone leaves two poses above the floor.
+# --- Is the rig good enough to track a person with, and what to do if not?
 
-    The floor board is mostly seen at a grazing angle, and a plane has two poses that fit its picture nearly as well
-    (Schweighofer & Pinz 2006).
-    """
-    shape, views = target_shape(FLOOR, points), {}
-    for seen in solution.detections:  # numbered as the solver found right
-        if seen.target != FLOOR:
-            continue
-        views[seen.camera] = False
-        if (poses := detection_poses(seen, solution.cameras[seen.camera], shape)) is not None:
-            T_target_camera = inverse(transform(poses.R, poses.t))
-            squares = poses.rms_px[T_target_camera[:, 2, 3] > 0] ** 2  # of distances: twice the noise of a coordinate
-            sigma_px = max(seen.sigma_px, float(np.sqrt(squares[:1].sum() / 2)))
-            views[seen.camera] = bool((len(seen) * (squares[1:] - squares[:1]) <= (CLEAR_SDS * sigma_px) ** 2).any())
-    return views
+# Limits of USABLE and REDO: judgement.
+RATIO = (0.01, 0.03)  # of two sizes, of a length to the tape's, of a focal length to the one given
+TAPE_ERROR_M = 0.02  # a tape held against a lens errs by so much
+MIN_TAPE_M = TAPE_ERROR_M / RATIO[1]  # a shorter length tells nothing
+SD_MM, SD_DEG = (10.0, 40.0), (0.2, 1.0)
+RMS_PX, RMS_WIDTH_PX = (1.0, 3.0), 1000  # wider images may have residuals in proportion
+WRONG_SHARE = (0.2, 0.3)  # of a camera's detections
+SYNC_ERROR_M = 0.001
+FEW_TIES = 3
+
+
+def _of_floor(rig: RigCalibration) -> Iterator[Finding]:
+    if rig.floor_world is None:
+        yield Finding(
+            USABLE,
+            "no picture shows the board on the floor: heights and the vertical are guesses",
+            "Add pictures of the board lying on the floor (--floor), or carry it there (--floor-at).",
+        )
+    if rig.solution.undecided:
+        yield Finding(
+            REDO,
+            f"nothing tells on which side of the board {', '.join(rig.solution.undecided)} stand(s): it looks the same "
+            "after part of a turn",
+            "Use a board with an odd and an even number of inner corners, or a ChArUco board; or carry a board through "
+            "the room (--moving); or give its outer corners in each picture, the same one first (--corners).",
+        )
+
+
+def _of_scale(rig: RigCalibration) -> Iterator[Finding]:
+    for target, (ratio, sd) in sorted(rig.solution.scale_of.items()):
+        what = f"board '{target}' is {ratio:.3f} times as large as stated, if the other board's size is right"
+        remedy = "Measure the fields of both prints over a whole row, and state those (--board, --floor-board)."
+        yield from graded(abs(ratio - 1.0), (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]), what, remedy)
+    for check in rig.tape:
+        remedy = f"If the tape is right, the board's fields are {1.0 / check.ratio:.4f} times as large as stated: "
+        remedy += "measure the print, state that size and calibrate again."
+        limits = max(RATIO[0], TAPE_ERROR_M / check.tape_m), RATIO[1]
+        yield from graded(abs(check.ratio - 1.0), limits, str(check), remedy)
+
+
+def _of_camera(name: str, rig: RigCalibration) -> Iterator[Finding]:
+    """Find all that is wrong with one camera, the worst causes first."""
+    camera = rig.figures[name]
+    nearer = "Show it the board larger, nearer, more from above, and at more places of its image (--moving)."
+    what = f"{name}: the corners miss their places by {camera.rms_px:.2f} px (rms)"
+    remedy = "Check that the intrinsics are this camera's, at this focus and image size, that the board is flat and "
+    remedy += "specified as printed, and that it was held still."
+    widening = max(1.0, rig.rig.camera(name).width / RMS_WIDTH_PX)
+    yield from graded(camera.rms_px / widening, RMS_PX, what, remedy)
+    what = f"the place of {name} is known to {camera.sd_centre_mm:.0f} mm only (sd)"
+    yield from graded(camera.sd_centre_mm, SD_MM, what, nearer)
+    what = f"the direction of {name} is known to {camera.sd_rotation_deg:.2f} degrees only (sd)"
+    yield from graded(camera.sd_rotation_deg, SD_DEG, what, nearer)
+    if rig.floor_world is not None and camera.height_m < 0:
+        yield Finding(
+            REDO,
+            f"{name} comes to lie {-camera.height_m:.2f} m below the floor",
+            "Lay the board on the floor, print upwards, and switch off the camera's mirroring; where corners are given "
+            "by hand, give them in reading order.",
+        )
+    for left in rig.solution.left_out:
+        if (left.detection.camera, left.detection.target) == (name, FLOOR):
+            yield Finding(
+                REDO,
+                f"{name} sees the floor board otherwise than the rest of the rig does: {left.reason}",
+                "Was the board, or the camera, moved in between, or are its outer corners given the wrong way "
+                "round? Take the pictures of the floor board again.",
+            )
+
+
+def footage_findings(solution: RigSolution) -> Iterator[Finding]:
+    """Find what is wrong with synchrony, lenses and ties, and detections that contradict the rest."""
+    if solution.sync_error_m > SYNC_ERROR_M:
+        yield Finding(
+            USABLE,
+            f"the cameras see targets {1000 * solution.sync_error_m:.1f} mm apart: they moved between the exposures, "
+            "or are bent",
+            "Hold the board still for each picture, carry it slowly, or synchronise the cameras; fix the print to "
+            "something flat.",
+        )
+    used = [detection.camera for detection in solution.detections]
+    left_out = [out.detection.camera for out in solution.left_out]
+    shared = [names for names in cameras_by_pose(solution.detections).values() if len(names) > 1]
+    for name, (ratio, sd) in solution.focal_of.items():
+        what = f"the other cameras' views ask for a focal length of {name} that is {ratio:.3f} times the one given"
+        remedy = f"Calibrate the intrinsics of {name} again, at the focus, zoom and image size that it is used with."
+        yield from graded(abs(ratio - 1), (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]), what, remedy)
+        lost, every = left_out.count(name), left_out.count(name) + used.count(name)
+        what = f"{lost} of {every} detections of {name} contradict the rest"
+        remedy = "Check that the cameras are synchronised, that the board was carried slowly, that the camera was not "
+        remedy += "touched, and that the footage is of one recording."
+        yield from graded(lost / every, WRONG_SHARE, what, remedy)
+        count = sum(name in names for names in shared)
+        if count < FEW_TIES:
+            what = f"{name} is tied to the other cameras by {count} position(s) of a target only: nothing would tell a "
+            yield Finding(USABLE, what + "mistake in them", "Carry the board where it and another camera see it.")

@@ -7,8 +7,7 @@ for a hull (thesis 3.1), and the box around it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,41 +16,32 @@ from scipy import ndimage
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
 from capture_rig.rig import DEFAULT_HEIGHT_M, FLOOR_MARGIN_M, Rig, Volume, default_volume
-from capture_rig.rigid import inverse
+from capture_rig.rigid import rotation_matrix, transform
+from capture_rig.visibility import pixel_width_m
 
 from ..bundle.solve import RigSolution
-
-CENTRE: Literal["centre"] = "centre"
-FIRST_CORNER: Literal["first-corner"] = "first-corner"
 
 
 @dataclass(frozen=True)
 class WorldChoice:
     """Where the world lies on the floor board.
 
-    origin : "centre" (the middle of the board's corners), "first-corner", or (x, y) in the board frame, metres: x along
-    the rows, y towards the top of the print, from the first corner. heading : the angle from the board's rows to world
-    x, rad, counterclockwise seen from above. thickness_m : how high the print lies above the floor.
+    origin : (x, y) in the board frame, metres: x along the rows, y towards the top of the print, from the first corner;
+    None: the middle of the board's corners. heading : the angle from the board's rows to world x, rad, counterclockwise
+    seen from above. thickness_m : how high the print lies above the floor.
     """
 
-    origin: Literal["centre", "first-corner"] | tuple[float, float] = CENTRE
+    origin: tuple[float, float] | None = None
     heading: float = 0.0
     thickness_m: float = 0.0
 
 
 def board_in_world(corners_board: Array, choice: WorldChoice) -> Array:
     """T_world_board (4, 4) of a board that lies on the floor, its print upwards; ``corners_board`` (n, 3)."""
-    if choice.origin == CENTRE:
-        origin_board = (corners_board.min(axis=0) + corners_board.max(axis=0)) / 2
-    elif choice.origin == FIRST_CORNER:
-        origin_board = corners_board[0]
-    else:
-        origin_board = np.array([*choice.origin, 0.0])
-    c, s = np.cos(choice.heading), np.sin(choice.heading)
-    T_world_board = np.eye(4)
-    T_world_board[:3, :3] = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]
-    T_world_board[:3, 3] = [0.0, 0.0, choice.thickness_m] - T_world_board[:3, :3] @ origin_board
-    return T_world_board
+    middle_board = (corners_board.min(axis=0) + corners_board.max(axis=0)) / 2
+    origin_board = middle_board if choice.origin is None else np.array([*choice.origin, 0.0])
+    R = rotation_matrix(np.array([0.0, 0.0, -choice.heading]))
+    return transform(R, [0.0, 0.0, choice.thickness_m] - R @ origin_board)
 
 
 def world_of_level_camera(T_camera_reference: Array) -> Array:
@@ -60,15 +50,6 @@ def world_of_level_camera(T_camera_reference: Array) -> Array:
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
     return T_world_camera @ T_camera_reference
-
-
-def placed_cameras(solution: RigSolution, T_world_reference: Array) -> tuple[CameraModel, ...]:
-    """Place the cameras of the solution in the world, in name order."""
-    T_reference_world = inverse(T_world_reference)
-    return tuple(
-        replace(solution.cameras[name], T_camera_world=T @ T_reference_world)
-        for name, T in sorted(solution.T_camera_reference.items())
-    )
 
 
 # --- The common volume.
@@ -107,13 +88,16 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
     """Find where at least three cameras see (all, of fewer), on a grid of 0.1 m around the point that their axes
     meet."""
     enough = min(ENOUGH_CAMERAS, len(cameras))
-    x, y = _floor_grid(cameras)
+    around = default_volume(tuple(cameras))
+    middle = np.round((around.low + around.high)[:2] / 2 / STEP_M) * STEP_M  # whole multiples of the step
+    offsets = np.arange(-MAX_SIDE_M / 2, MAX_SIDE_M / 2 + STEP_M / 2, STEP_M)
+    x, y = middle[0] + offsets, middle[1] + offsets
     seeing = _cameras_seeing(cameras, x, y)  # (levels, nx, ny)
     standing = seeing.min(axis=0)
     place = _largest_piece(standing >= enough)
     if not place.any():
         place = _largest_piece(seeing[np.searchsorted(LEVELS_M, 1.0)] >= enough)
-    box = _box(x, y, place) if place.any() else default_volume(tuple(cameras))
+    box = _box(x, y, place) if place.any() else around
     return CommonVolume(
         box=box,
         floor_m2=tuple(float((standing >= n).sum() * STEP_M**2) for n in range(1, len(cameras) + 1)),
@@ -122,14 +106,6 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
         y=y,
         standing=standing,
     )
-
-
-def _floor_grid(cameras: Sequence[CameraModel]) -> tuple[Array, Array]:
-    """Coordinates x (nx,) and y (ny,) of the columns that are asked, whole multiples of the step."""
-    box = default_volume(tuple(cameras))
-    middle = np.round((box.low + box.high)[:2] / 2 / STEP_M) * STEP_M
-    offsets = np.arange(-MAX_SIDE_M / 2, MAX_SIDE_M / 2 + STEP_M / 2, STEP_M)
-    return middle[0] + offsets, middle[1] + offsets
 
 
 def _cameras_seeing(cameras: Sequence[CameraModel], x: Array, y: Array) -> npt.NDArray[np.int64]:
@@ -176,48 +152,36 @@ def _extent(counts: npt.NDArray[np.int64]) -> tuple[int, int]:
 class CameraFigures:
     """Figures of one camera.
 
-    rms_px : of the corners' distances in the solution. detections : how many went into it. distance_m : from the
-    volume's centre. height_m : of the lens above the floor. mm_per_px : what a pixel covers at the volume's centre.
-    floor_angle_deg : at which it sees the floor board, from the board's normal; None when it does not see it.
-    sd_centre_mm, sd_rotation_deg : standard deviation, in the worst direction.
+    detections : how many went into the solution. rms_px : of their corners' distances. mm_per_px : what a pixel covers
+    at the volume's centre. distance_m : from there. height_m : of the lens above the floor. sd_centre_mm,
+    sd_rotation_deg : standard deviation, in the worst direction.
     """
 
-    name: str
-    rms_px: float
     detections: int
+    rms_px: float
+    mm_per_px: float
     distance_m: float
     height_m: float
-    mm_per_px: float
-    floor_angle_deg: float | None
     sd_centre_mm: float
     sd_rotation_deg: float
 
 
-def camera_figures(rig: Rig, solution: RigSolution, floor_world: Array | None, floor: str) -> dict[str, CameraFigures]:
-    """Compute the figures of all cameras; ``floor_world`` (n, 3): the points of the target called ``floor``."""
-    middle = (rig.volume.low + rig.volume.high) / 2
-    figures = {}
+def camera_figures(rig: Rig, solution: RigSolution) -> dict[str, CameraFigures]:
+    """Compute the figures of all cameras, by name."""
+    middle, figures = (rig.volume.low + rig.volume.high) / 2, {}
     for camera in rig.cameras:
-        name, centre = camera.name, camera.centre_world
-        targets = [detection.target for detection in solution.detections if detection.camera == name]
-        distance = float(np.linalg.norm(centre - middle))
-        angle = None
-        if floor_world is not None and floor in targets:
-            away = centre - floor_world.mean(axis=0)
-            angle = float(np.rad2deg(np.arccos(away[2] / np.linalg.norm(away))))
-        sds = [
-            float(np.sqrt(max(np.linalg.eigvalsh(solution.covariance[name][part, part])[-1], 0.0)))
+        covariance, centre = solution.covariance[camera.name], camera.centre_world
+        of_rotation, of_centre = (
+            float(np.sqrt(max(np.linalg.eigvalsh(covariance[part, part])[-1], 0.0)))
             for part in (slice(0, 3), slice(3, 6))
-        ]
-        figures[name] = CameraFigures(
-            name=name,
-            rms_px=solution.rms_px[name],
-            detections=len(targets),
-            distance_m=distance,
+        )
+        figures[camera.name] = CameraFigures(
+            detections=sum(detection.camera == camera.name for detection in solution.detections),
+            rms_px=solution.rms_px[camera.name],
+            mm_per_px=1e3 * pixel_width_m(camera, rig.volume),
+            distance_m=float(np.linalg.norm(centre - middle)),
             height_m=float(centre[2]),
-            mm_per_px=1e3 * distance / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),
-            floor_angle_deg=angle,
-            sd_centre_mm=1e3 * sds[1],
-            sd_rotation_deg=float(np.rad2deg(sds[0])),
+            sd_centre_mm=1e3 * of_centre,
+            sd_rotation_deg=float(np.rad2deg(of_rotation)),
         )
     return figures

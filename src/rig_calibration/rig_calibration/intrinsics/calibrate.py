@@ -18,10 +18,9 @@ from capture_rig.lens import COEFFICIENTS, Array
 from capture_rig.rigid import transform
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.adjustment import RAYLEIGH_MEDIAN
 from ..bundle.initial_poses import initial_poses
-from ..bundle.problem import THIN, check_problem, detection_poses, shapes_of, views_of
-from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
+from ..bundle.problem import THIN, check_problem, shapes_of, views_of
+from ..bundle.robust_fit import Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
 from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult
@@ -107,19 +106,11 @@ def fit_lens(
     return _result_of(fit, model, board)
 
 
-def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
-    """Find (4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the
-    one that fits better; None when the corners determine none."""
-    shape = shapes_of({"": board.corners_board}, {})[""]
-    poses = detection_poses(detection, camera, shape)
-    return None if poses is None else transform(poses.R[0], poses.t[0])
-
-
 def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
     """Return the focal length that explains the views' perspective best."""
     size = detections[0].image_size
     trials = [model.camera(detections[0].camera, share * max(size), size) for share in FOCAL_TRIALS]
-    shapes = shapes_of({detections[0].target: board.corners_board}, {})
+    shapes = shapes_of({detections[0].target: board.corners_board})
 
     def typical_misfit(camera: CameraModel) -> float:
         poses = [view.poses for view in views_of(detections, {camera.name: camera}, shapes)]
@@ -137,7 +128,7 @@ def _fit_from(
 ) -> Fit:
     """Return the solver's first state: poses by that lens, lens and warp free with their prior."""
     target = detections[0].target
-    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
+    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, (), {})
     views = views_of(problem.detections, problem.cameras, problem.shapes)
     fit = start_fit(problem, views, initial_poses(problem.cameras, views))
     focal_px = float(camera.K.diagonal()[:2].mean())
@@ -155,16 +146,16 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
     columns, count = model.columns, len(model.names)
     covariance = found.of_shared[columns[:, None], columns]
     sd = np.sqrt(np.diag(covariance)).tolist()
-    views = []
+    gone = {out.detection.frame_index for out in fit.left_out if out.whole}
+    left_out = [out for out in fit.left_out if out.whole or out.detection.frame_index not in gone]
+    views, middle = [], board.corners_board.mean(axis=0)
     for detection, residuals, weight, row in zip(
         fit.detections, residuals_px(state, used), used.weight, used.pose, strict=True
     ):
         kept = np.flatnonzero(weight)  # in the order of the ids
+        corners = replace(detection, ids=detection.ids[kept], pixels=detection.pixels[kept])
         R = state.R_pose[row]
-        T_camera_board = transform(R, state.position[row] - R @ board.corners_board.mean(axis=0))
-        views.append(
-            ViewResult(detection, detection.ids[kept], detection.pixels[kept], residuals[kept], T_camera_board)
-        )
+        views.append(ViewResult(corners, residuals[kept], transform(R, state.position[row] - R @ middle)))
     camera = _camera_of(fit)
     return Intrinsics(
         camera=camera,
@@ -176,28 +167,9 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
         warp_m=tuple(state.board_warp[0].tolist()),
         warp_sd_m=tuple(sd[count:]),
         views=tuple(views),
-        left_out=_left_out(fit, sigma_px),
+        left_out=tuple(sorted(left_out, key=lambda out: out.detection.frame_index)),
         edge_sd_px=edge_sd_px(camera, covariance[:count, :count]),
     )
-
-
-def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
-    """Views left out, with how far their corners lie off, and single corners of those that were kept."""
-    kept = {detection.frame_index for detection in fit.detections}
-    away = np.linalg.norm(residuals_px(fit.state, fit.seen), axis=2)
-    off = {d.frame_index: float(np.median(away[row, : len(d)])) for row, d in enumerate(fit.all_detections)}
-    named = []
-    for out in fit.left_out:
-        frame = out.detection.frame_index
-        if out.whole and out.reason != NO_POSE:
-            reason = (
-                f"its corners lie {off[frame]:.1f} px from where the other views' lens puts them, "
-                f"against {RAYLEIGH_MEDIAN * sigma_px:.2f} px elsewhere"
-            )
-            named.append(replace(out, reason=reason))
-        elif out.whole or frame in kept:
-            named.append(out)
-    return tuple(sorted(named, key=lambda out: out.detection.frame_index))
 
 
 # --- Which detections can be used.

@@ -13,7 +13,6 @@ import numpy as np
 
 from capture_rig import lens
 from capture_rig.camera import CameraModel
-from capture_rig.errors import InputError
 from capture_rig.lens import COEFFICIENTS, Array
 
 from ..bundle.adjustment import Prior
@@ -52,10 +51,6 @@ class LensModel:
     """Which parameters there are. ``name`` is ROS's: plumb_bob, rational_polynomial or equidistant."""
 
     name: str
-
-    def __post_init__(self) -> None:
-        if self.name not in COEFFICIENTS:
-            raise InputError(f"'{self.name}' is not a lens model", remedy=f"Use one of {', '.join(COEFFICIENTS)}.")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -12,11 +12,11 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
-from capture_rig.verdict import REDO, Finding, Verdict, graded, judge
+from capture_rig.verdict import Finding, Verdict, graded, judge
 
 from ..boards.board import TargetDetection
 from ..bundle.robust_fit import CLEAR_SDS, RejectedDetection
-from .lens_model import ASPECT_PRIOR, CENTRE_PRIOR, FISHEYE, REFERENCE_WIDTH_PX, WARP_PRIOR
+from .lens_model import FISHEYE, REFERENCE_WIDTH_PX, WARP_PRIOR
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,10 @@ class ModelChoice:
 
 @dataclass(frozen=True, eq=False)
 class ViewResult:
-    """What one view contributed. ids (n,); pixels (n, 2) seen; residuals (n, 2) seen minus expected, px;
-    T_camera_board (4, 4), m."""
+    """What one view contributed: the corners that counted; residuals (n, 2) seen minus expected, px; T_camera_board
+    (4, 4), m."""
 
     detection: TargetDetection
-    ids: np.ndarray
-    pixels: Array
     residuals: Array
     T_camera_board: Array
 
@@ -120,24 +118,21 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
             for axis, warp, sd in zip("xy", result.warp_m, result.warp_sd_m, strict=True)
         },
         **choice,
-        "views": [_view(view) for view in result.views],
-        "left_out": [_left_out(entry) for entry in result.left_out],
+        "views": [
+            {
+                "frame": view.detection.frame_index,
+                "corners": len(view.detection),
+                "rms_px": _short(view.rms_px),
+                "tilt_deg": _short(float(np.rad2deg(np.arccos(min(abs(view.T_camera_board[2, 2]), 1.0))))),
+                "distance_m": _short(float(np.linalg.norm(view.T_camera_board[:3, 3]))),
+            }
+            for view in result.views
+        ],
+        "left_out": [
+            {"frame": entry.detection.frame_index, "why": entry.reason, "corners": list(entry.corners)}
+            for entry in result.left_out
+        ],
     }
-
-
-def _view(view: ViewResult) -> dict[str, Any]:
-    return {
-        "frame": view.detection.frame_index,
-        "corners": len(view.pixels),
-        "rms_px": _short(view.rms_px),
-        "tilt_deg": _short(float(np.rad2deg(np.arccos(min(abs(view.T_camera_board[2, 2]), 1.0))))),
-        "distance_m": _short(float(np.linalg.norm(view.T_camera_board[:3, 3]))),
-    }
-
-
-def _left_out(entry: RejectedDetection) -> dict[str, Any]:
-    what = {"frame": entry.detection.frame_index, "why": entry.reason}
-    return what if entry.whole else {**what, "corners": list(entry.corners)}
 
 
 def _short(value: float) -> float:
@@ -153,69 +148,48 @@ def _short(value: float) -> float:
 FOCAL_SD, CENTRE_SD_PX = (0.002, 0.008), (1.0, 4.0)  # the first of the focal length
 EDGE_SD_PX = (2.0, 25.0)
 NOISE_PX = (0.4, 1.2)  # sd of a corner's coordinate
-FOCAL_RANGE = (0.2, 8.0)  # of the image's longer side; 0.24: a fisheye of 190 degrees in the height of 4:3
 LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = (0.2, 0.5), (0.03, inf)
-UNUSED = UNUSED_GOOD, UNUSED_USABLE = 0.001, 0.3  # of the image's pixels: without rays
+UNUSED_GOOD, UNUSED_USABLE = 0.001, 0.3  # of the image's pixels: without rays
 
 
 def lens_findings(result: Intrinsics) -> Iterator[Finding]:
-    """Find what is wrong with a calibration, worst causes first."""
+    """Find what is wrong with a calibration, worst causes first; sagoma doctor says whether such a lens exists."""
     values, sd, camera = result.values, result.sd, result.camera
-    longer = max(camera.width, camera.height)
-    scale = longer / REFERENCE_WIDTH_PX
-    tilted = "more views, the board tilted by 30 to 45 degrees in all four directions and filling half the "
+    scale = max(camera.width, camera.height) / REFERENCE_WIDTH_PX
+    tilted = "more views, the board tilted by 30 to 45 degrees in all four directions and filling half the image"
     focal, centre = max(sd["fx"] / values["fx"], sd["fy"] / values["fy"]), max(sd["cx"], sd["cy"])
     what = f"the focal length is known to {100 * focal:.2g} % only"
-    yield from graded(focal, FOCAL_SD, what, tilted + "image")
+    yield from graded(focal, FOCAL_SD, what, tilted)
     what = f"the principal point is known to {centre:.1f} px only"
-    yield from graded(centre / scale, CENTRE_SD_PX, what, tilted + "image, also turned by a quarter in its plane")
+    yield from graded(centre / scale, CENTRE_SD_PX, what, tilted + ", also turned by a quarter in its plane")
     what = f"in the image's corners rays are uncertain by {result.edge_sd_px:.1f} px"
     yield from graded(result.edge_sd_px / scale, EDGE_SD_PX, what, "bring the board into all four corners of the image")
-    yield from _reach(camera)
-    yield from _left_out_findings(result)
-    yield from graded(
-        result.sigma_px / scale,
-        NOISE_PX,
-        f"corners miss their places by {result.sigma_px:.2f} px",
-        "board not flat, moving during exposure, rolling shutter, or the lens refocused or zoomed on the way: film "
-        "a stiff board held still, with focus and zoom fixed",
-    )
-    if not FOCAL_RANGE[0] <= values["fx"] / longer <= FOCAL_RANGE[1]:
-        what = f"a focal length of {values['fx']:.0f} px is implausible for images {camera.width} wide"
-        yield Finding(REDO, what, "tilt the board more; check that the views come from one camera with fixed zoom")
-    aspect = abs(values["fx"] / values["fy"] - 1)
-    remedy = "check that fields are as wide and as high as given, and that images are not stretched"
-    yield from graded(aspect, (ASPECT_PRIOR, inf), f"fx and fy differ by {100 * aspect:.1f} %", remedy)
-    offset = np.hypot(values["cx"] - (camera.width - 1) / 2, values["cy"] - (camera.height - 1) / 2)
-    what = f"the principal point lies {offset:.0f} px from the image's centre"
-    remedy = "usual for a cut-out of a larger sensor only; else tilt the board more"
-    yield from graded(offset / longer, (CENTRE_PRIOR, inf), what, remedy)
-    for axis, warp, warp_sd in zip(("rows", "columns"), result.warp_m, result.warp_sd_m, strict=True):
-        limit = max(CLEAR_SDS * warp_sd, WARP_PRIOR * result.board_diagonal_m)
-        what = f"the board is bent along its {axis}: its middle stands out by {1e3 * warp:.1f} mm"
-        remedy = "allowed for here, but glue it to something flat before it measures the rig"
-        yield from graded(abs(warp), (limit, inf), what, remedy)
-
-
-def _left_out_findings(result: Intrinsics) -> Iterator[Finding]:
+    fisheye, remedy = camera.distortion_model == FISHEYE, "nothing is expected to be seen there"
+    if not fisheye:
+        remedy += "; to use it, bring a ChArUco board, which may leave the image, into its corners, and calibrate with "
+        remedy += "--model auto"
+    limits = (UNUSED_GOOD, inf) if fisheye else (UNUSED_GOOD, UNUSED_USABLE)
+    yield from graded(camera.unused_share, limits, unused_text(camera), remedy)
     whole = [entry for entry in result.left_out if entry.whole]
     views, first = len(result.views) + len(whole), f" (the first: {whole[0].reason})" if whole else ""
     what = f"{len(whole)} of {views} views were left out{first}"
     remedy = "hold the board still, film one flat board only; try --model auto"
     yield from graded(len(whole) / views, LEFT_OUT_SHARE, what, remedy)
     single = sum(len(entry.corners) for entry in result.left_out)
-    share = single / (single + sum(len(view.ids) for view in result.views))
+    share = single / (single + sum(len(view.detection) for view in result.views))
     what = f"{100 * share:.0f} % of the corners contradict the others and were left out"
     yield from graded(share, CORNERS_LEFT_OUT_SHARE, what, "the lens may need another model: try --model auto")
-
-
-def _reach(camera: CameraModel) -> Iterator[Finding]:
-    fisheye, remedy = camera.distortion_model == FISHEYE, "nothing is expected to be seen there"
-    if not fisheye:
-        remedy += "; to use it, bring a ChArUco board, which may leave the image, into its corners, and calibrate with "
-        remedy += "--model auto"
-    limits = (UNUSED_GOOD, inf) if fisheye else UNUSED
-    yield from graded(camera.unused_share, limits, unused_text(camera), remedy)
+    what = f"corners miss their places by {result.sigma_px:.2f} px"
+    remedy = (
+        "board not flat, moving during exposure, rolling shutter, or the lens refocused or zoomed on the way: film a "
+    )
+    remedy += "stiff board held still, with focus and zoom fixed"
+    yield from graded(result.sigma_px / scale, NOISE_PX, what, remedy)
+    for axis, warp, warp_sd in zip(("rows", "columns"), result.warp_m, result.warp_sd_m, strict=True):
+        limit = max(CLEAR_SDS * warp_sd, WARP_PRIOR * result.board_diagonal_m)
+        what = f"the board is bent along its {axis}: its middle stands out by {1e3 * warp:.1f} mm"
+        remedy = "allowed for here, but glue it to something flat before it measures the rig"
+        yield from graded(abs(warp), (limit, inf), what, remedy)
 
 
 def unused_text(camera: CameraModel) -> str:

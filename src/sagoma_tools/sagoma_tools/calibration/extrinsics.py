@@ -6,68 +6,66 @@ import argparse
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
 from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.rig import FARTHEST_M
 from rig_calibration.boards.board import Board, read_board
-from rig_calibration.boards.wand import wand_points, wand_symmetry_order
-from rig_calibration.extrinsics.board_frames import FloorAt
-from rig_calibration.extrinsics.calibrate import WAND, RigCalibration, Target, calibrate_rig
-from rig_calibration.extrinsics.verdict import TapeMeasure
-from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
+from rig_calibration.boards.wand import WAND, wand_looks_alike, wand_points
+from rig_calibration.extrinsics.board_frames import LOWEST, FloorAt
+from rig_calibration.extrinsics.calibrate import RigCalibration, TapeMeasure, Target, calibrate_rig
+from rig_calibration.extrinsics.world import WorldChoice
 
 from .outer_corners import read_corners, write_corner_help, write_template
-from .rig_detections import Cameras, CamerasDetections, Corners, RigSources, detections_of
-from .rig_inputs import RigInputs, names_in_floor_points, read_intrinsics, read_lens_deviations, require_seen
+from .rig_detections import Cameras, CamerasDetections, Corners, FootageSources, detections_of
+from .rig_inputs import RigInputs, read_floor_points, read_intrinsics, read_lens_deviations, require_seen
 from .rig_report import print_report, write_outputs
 
+if TYPE_CHECKING:  # ROS takes a second to load
+    from .rig_live import LiveSources
+Sources: TypeAlias = "FootageSources | LiveSources"
 
-def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Console) -> RigCalibration:
+
+def calibrate_extrinsics(request: RigRequest, sources: Sources, console: Console) -> RigCalibration:
     """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
-    cameras = read_intrinsics(request.intrinsics, _names(request, sources))
+    points = None if request.floor_points is None else read_floor_points(request.floor_points)
+    names = {*sources.names, *(points.seen if points else ())} - set(request.without)
+    cameras = read_intrinsics(request.intrinsics, names)
     corners = read_corners(request.corners) if request.corners is not None else {}
     floor = _detect_floor(request, sources, cameras, corners)
     moving = sources.detect_moving(request.board, cameras) if request.board is not None else {}
     wands = sources.detect_wand(request.wand_marks_m, cameras) if request.wand_marks_m else {}
     inputs = RigInputs()
-    if request.floor_points is not None:
-        inputs.add_floor_points(request.floor_points, cameras)
+    if points is not None:
+        inputs.add_floor_points(points, cameras)
     if request.floor_board is not None:
         target = Target.of(request.floor_board, request.choice)
         seen = detections_of(floor)
         if set(corners) >= {detection.camera for detection in seen}:  # their order tells which way round the board lies
-            target = replace(target, symmetry_order=1)
+            target = replace(target, looks_alike=False)
         inputs.add_floor(seen, request.floor_board, target)
     if request.board is not None and (carried := detections_of(moving)):
-        inputs.add_moving(cameras, carried, request.board, request.choice, request.floor_at)
+        lying = inputs.add_moving(cameras, carried, request.board, request.choice, request.floor_at)
+        if lying:
+            console.print(f"floor: the carried board in frames {', '.join(map(str, lying))}")
     if wands:
         marks_m = request.wand_marks_m
-        inputs.add_carried(detections_of(wands), WAND, Target(wand_points(marks_m), wand_symmetry_order(marks_m)))
+        inputs.add_carried(detections_of(wands), WAND, Target(wand_points(marks_m), wand_looks_alike(marks_m)))
     searched = [("floor", floor, request.floor_board), ("moving", moving, request.board), ("wand", wands, None)]
     require_seen(cameras, inputs, searched)
-    calibrated = calibrate_rig(
-        cameras,
-        inputs.detections,
-        inputs.targets,
-        moved_frames=inputs.moved_frames,
-        floor_guess=inputs.floor_guess,
-        intrinsics_sd=read_lens_deviations(request.intrinsics, cameras),
-        refine_intrinsics=request.refine_intrinsics,
-        tape=request.tape,
-    )
+    lens_sd = read_lens_deviations(request.intrinsics, cameras)
+    calibrated = calibrate_rig(cameras, inputs.detections, inputs.targets, intrinsics_sd=lens_sd, tape=request.tape)
     print_report(console, calibrated)
-    pictures: dict[str, np.ndarray] = {name: seen.picture for name, seen in floor.items()}
+    pictures = {name: seen.picture for name, seen in floor.items() if seen.picture is not None}
     for path in write_outputs(request.output, calibrated, pictures, request.text):
         console.print(f"written: {path}")
     return calibrated
 
 
-def _detect_floor(request: RigRequest, sources: RigSources, cameras: Cameras, corners: Corners) -> CamerasDetections:
+def _detect_floor(request: RigRequest, sources: Sources, cameras: Cameras, corners: Corners) -> CamerasDetections:
     board = request.floor_board
     if board is None:
         return {}
@@ -79,12 +77,6 @@ def _detect_floor(request: RigRequest, sources: RigSources, cameras: Cameras, co
     if request.click is not None and floor:
         ask_for_corners(request, floor)
     return floor
-
-
-def _names(request: RigRequest, sources: RigSources) -> list[str]:
-    """Return all cameras of which there are pictures, or points on the floor."""
-    points = names_in_floor_points(request.floor_points) if request.floor_points is not None else []
-    return sorted({*sources.names, *points} - set(request.without))
 
 
 def ask_for_corners(request: RigRequest, floor: CamerasDetections) -> None:
@@ -100,7 +92,8 @@ def ask_for_corners(request: RigRequest, floor: CamerasDetections) -> None:
     if not wanted:
         return
     folder, template = make_folder(request.output.parent), request.output.with_suffix(".corners.yaml")
-    pictures = [write_corner_help(folder, name, floor[name].picture) for name in wanted]
+    shown = {name: floor[name].picture for name in wanted}
+    pictures = [write_corner_help(folder, name, image) for name, image in shown.items() if image is not None]
     write_template(template, wanted)
     raise InputError(
         f"the board's corners are wanted of {', '.join(wanted)}",
@@ -122,8 +115,8 @@ class RigRequest:
 
     board, floor_board : the carried one and the one on the floor; None where none is needed. floor_at : when the
     carried board lies on the floor; None when other pictures show the floor, or it is not wanted.
-    refine_intrinsics : adjust the lenses, too. click : cameras whose corners a person is to give, () for those in which
-    no board is found, None for none. text : the arguments as typed, for the report.
+    click : cameras whose corners a person is to give, () for those in which no board is found, None for none.
+    text : the arguments as typed, for the report.
     """
 
     intrinsics: Path
@@ -136,7 +129,6 @@ class RigRequest:
     corners: Path | None = None
     click: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
-    refine_intrinsics: bool = False
     choice: WorldChoice = field(default_factory=WorldChoice)
     tape: tuple[TapeMeasure, ...] = ()
     text: dict[str, Any] = field(default_factory=dict)
@@ -165,6 +157,7 @@ def request_from(args: argparse.Namespace) -> RigRequest:
     marks = _numbers(args.wand_marks, None, "--wand-marks", "0,0.25,0.4") if args.wand else []
     apart = [TapeMeasure(a, b, *_numbers(m, 1, "--check", "cam01 cam02 3.42")) for a, b, m in args.check]
     high = [TapeMeasure(a, None, *_numbers(m, 1, "--check-height", "cam01 2.31")) for a, m in args.check_height]
+    at = None if args.origin == "centre" else _numbers(args.origin, 2, "--origin", "centre, or x,y in metres")
     return RigRequest(
         intrinsics=Path(args.intrinsics),
         output=Path(args.output),
@@ -176,18 +169,10 @@ def request_from(args: argparse.Namespace) -> RigRequest:
         corners=Path(args.corners) if args.corners else None,
         click=None if args.click is None else tuple(args.click),
         without=tuple(args.without),
-        refine_intrinsics=args.refine_intrinsics,
-        choice=WorldChoice(_origin(args.origin), math.radians(args.heading), args.board_thickness),
+        choice=WorldChoice(None if at is None else (at[0], at[1]), math.radians(args.heading), args.board_thickness),
         tape=(*apart, *high),
         text={key: value for key, value in vars(args).items() if key != "run" and value not in (None, [], False)},
     )
-
-
-def _origin(text: str) -> Literal["centre", "first-corner"] | tuple[float, float]:
-    if text in (CENTRE, FIRST_CORNER):
-        return cast(Literal["centre", "first-corner"], text)
-    x, y = _numbers(text, 2, "--origin", "centre, first-corner, or x,y in metres, as 0.5,-0.3")
-    return x, y
 
 
 def _floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | None:
@@ -198,11 +183,10 @@ def _floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | 
         raise InputError(what, where="--floor-at", remedy="Leave it out.")
     if text == NO_FLOOR or has_floor or not has_moving:
         return None
-    if text in (None, "lowest", "first", "last"):
-        return cast(FloorAt, text or "lowest")
-    assert text is not None
+    if text is None or text == LOWEST:
+        return LOWEST
     if not text.isdigit():
-        remedy = "Give a frame's number (from 0), first, last, lowest, or none."
+        remedy = f"Give a frame's number (from 0), {LOWEST}, or {NO_FLOOR}."
         raise InputError(f"'{text}' is no frame", where="--floor-at", remedy=remedy)
     return int(text)
 

@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TypeAlias
 
@@ -41,7 +43,6 @@ class CameraFootage:
     """The footage of one camera: its files (one video, or stills), and the frame index of each still.
 
     Iterating gives ``(frame_index, image)``, image (H, W) uint8 grey; frames that cannot be decoded are left out.
-    ``count``: images, as far as it is known beforehand (0: unknown).
     """
 
     name: str
@@ -54,20 +55,15 @@ class CameraFootage:
 
     @property
     def count(self) -> int:
-        if self.frames is not None:
-            return len(self.frames)
-        reader = self._reader()
-        reader.close()
-        return reader.frame_count
+        """Images, as far as it is known beforehand (0: unknown)."""
+        with closing(self._reader()) as reader:
+            return reader.frame_count
 
     @property
     def fps(self) -> float:
         """Frame rate of a video, by its header; 0 for stills, and where the header tells no rate that a camera has."""
-        if not self.is_video:
-            return 0.0
-        reader = self._reader()
-        reader.close()
-        return reader.fps
+        with closing(self._reader()) as reader:
+            return reader.fps
 
     @property
     def where(self) -> str:
@@ -75,25 +71,19 @@ class CameraFootage:
         return str(self.files[0] if len(self.files) == 1 else self.files[0].parent)
 
     def __iter__(self) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
-        reader, place = self._reader(), 0
-        try:
-            while True:
+        with closing(self._reader()) as reader:
+            for place in count():
                 try:
                     image = reader.read()
                 except UndecodableFrame:
-                    place += 1
                     continue
                 if image is None:
                     return
                 yield (place if self.frames is None else self.frames[place]), image
-                place += 1
-        finally:
-            reader.close()
 
     def _reader(self) -> FootageReader:
-        if self.is_video:
-            return FootageReader(Video(self.files[0], threads=1), "mono")
-        return FootageReader(Stills(self.files[0].parent, list(self.files)), "mono")
+        first = self.files[0]
+        return FootageReader(Video(first, threads=1) if self.is_video else Stills(first, list(self.files)), "mono")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,36 +128,25 @@ def natural_sort_key(text: str) -> tuple[tuple[int, int | str], ...]:
 
 
 def _cameras_of(source: str) -> list[tuple[str, list[Path]]]:
+    """Return the cameras of a source, each with its files: one video, or stills."""
     name, equals, path = source.partition("=")
-    if equals and "/" not in name:
-        if not name:
-            raise InputError("a source begins with '='", where=source, remedy="Give NAME=PATH.")
-        return [(name, _files_of_one(Path(path), source))]
-    paths = _entries(Path(source), source)
+    is_one = bool(equals) and "/" not in name
+    if is_one and not name:
+        raise InputError("a source begins with '='", where=source, remedy="Give NAME=PATH.")
+    entries = [entry for entry in _inside(Path(path if is_one else source), source) if _kind(entry)]
+    if not entries:
+        raise InputError("holds no video and no still", where=source, remedy=HELP)
     cameras: dict[str, list[Path]] = {}
-    for entry in paths:
-        cameras.setdefault(_camera_name(entry), []).append(entry)
-    return [(camera, _one_piece(camera, entries, source)) for camera, entries in cameras.items()]
-
-
-def _files_of_one(path: Path, source: str) -> list[Path]:
-    """Return the files of NAME=PATH: one video, or stills."""
-    files = [entry for entry in _inside(path, source) if _kind(entry)]
-    videos = [file for file in files if _kind(file) == "video"]
-    if not files:
-        raise InputError("holds no video and no still", where=source, remedy=HELP)
-    if videos and len(files) > 1:
-        remedy = "Give one video a camera, or stills only."
-        raise InputError(f"holds {len(files)} files, of which {videos[0].name} is a video", where=source, remedy=remedy)
-    return files
-
-
-def _entries(path: Path, source: str) -> list[Path]:
-    """Videos, stills and folders of stills in a folder or pattern; or the one file."""
-    usable = [entry for entry in _inside(path, source) if _kind(entry) or (entry.is_dir() and _stills_in(entry))]
-    if not usable:
-        raise InputError("holds no video and no still", where=source, remedy=HELP)
-    return usable
+    for entry in entries:
+        cameras.setdefault(name if is_one else _camera_name(entry), []).append(entry)
+    for camera, files in cameras.items():
+        if len(files) == 1:
+            cameras[camera] = _stills_in(files[0]) if files[0].is_dir() else files
+        elif odd := [one for one in files if _kind(one) != "still" or (not is_one and _number(one, camera) is None)]:
+            others = ", ".join(entry.name for entry in files[:4])
+            what, remedy = f"camera '{camera}' has several pieces of footage ({others})", "one video, or stills only"
+            raise InputError(what, where=source, remedy=f"Name {remedy}: {camera}={odd[0]}.")
+    return list(cameras.items())
 
 
 def _inside(path: Path, source: str) -> list[Path]:
@@ -194,27 +173,16 @@ def _camera_name(entry: Path) -> str:
     return stem
 
 
-def _one_piece(camera: str, entries: list[Path], source: str) -> list[Path]:
-    """Return the files of one camera of a folder: one video, one folder, or stills that are numbered."""
-    if len(entries) == 1:
-        return _stills_in(entries[0]) if entries[0].is_dir() else entries
-    unnumbered = [entry for entry in entries if _kind(entry) != "still" or _number(entry, camera) is None]
-    if unnumbered:
-        others = ", ".join(entry.name for entry in entries[:4])
-        remedy = f"Take one away, or name it: {camera}={unnumbered[0]}."
-        raise InputError(f"camera '{camera}' has several pieces of footage ({others})", where=source, remedy=remedy)
-    return entries
-
-
 def _stills_in(folder: Path) -> list[Path]:
-    return [file for file in _inside(folder, str(folder)) if _kind(file) == "still"]
+    return [file for file in _inside(folder, str(folder)) if file.suffix.lower() in STILLS and file.is_file()]
 
 
 def _kind(path: Path) -> str:
-    """ "video", "still", or "" for anything else."""
-    if path.suffix.lower() in VIDEOS and path.is_file():
-        return "video"
-    return "still" if path.suffix.lower() in STILLS and path.is_file() else ""
+    """ "video", "still", "folder" of stills, or "" for anything else."""
+    if path.is_dir():
+        return "folder" if _stills_in(path) else ""
+    suffix = path.suffix.lower() if path.is_file() else ""
+    return "video" if suffix in VIDEOS else "still" if suffix in STILLS else ""
 
 
 def _number(file: Path, camera: str) -> int | None:
@@ -225,23 +193,14 @@ def _number(file: Path, camera: str) -> int | None:
 
 
 def _frame_indices(files: dict[str, list[Path]]) -> dict[str, tuple[int, ...] | None]:
-    """For each camera the frame indices of its stills, None for a video."""
-    numbers = {
-        name: [_number(file, name) for file in some] for name, some in files.items() if _kind(some[0]) == "still"
-    }
-    numbered = len(numbers) == len(files) and _numbers_are_frames(list(numbers.values()))
-    result: dict[str, tuple[int, ...] | None] = dict.fromkeys(files)
-    for name, some in numbers.items():
-        result[name] = tuple(n for n in some if n is not None) if numbered else tuple(range(len(some)))
-    return result
-
-
-def _numbers_are_frames(cameras: list[list[int | None]]) -> bool:
-    """Return every still numbered, none twice in a camera, and most of each camera's numbers shared with another."""
-    if any(None in numbers or len(set(numbers)) < len(numbers) for numbers in cameras):
-        return False
-    for one in cameras:
-        others = set().union(*(set(other) for other in cameras if other is not one))
-        if len(cameras) > 1 and len(others & set(one)) < MIN_SHARED_NUMBERS * min(len(one), len(others)):
-            return False
-    return True
+    """For each camera the frame indices of its stills, None for a video: their numbers, where all are numbered, none
+    twice in a camera, and most of each camera's are shared with another."""
+    stills = {name: some for name, some in files.items() if _kind(some[0]) == "still"}
+    numbers = {name: [_number(file, name) for file in some] for name, some in stills.items()}
+    numbered = len(stills) == len(files)
+    for name, own in numbers.items():
+        others = {number for other, some in numbers.items() if other != name for number in some}
+        shared = len(numbers) == 1 or len(others & set(own)) >= MIN_SHARED_NUMBERS * min(len(own), len(others))
+        numbered &= shared and None not in own and len(set(own)) == len(own)
+    chosen = numbers if numbered else {name: range(len(some)) for name, some in stills.items()}
+    return {name: tuple(n for n in chosen[name] if n is not None) if name in stills else None for name in files}

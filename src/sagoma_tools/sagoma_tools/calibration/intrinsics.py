@@ -21,7 +21,7 @@ from rig_calibration.boards.board import Board, board_text
 from rig_calibration.boards.detector import diagnose_board
 from rig_calibration.intrinsics.calibrate import AUTO, MIN_VIEWS, calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics, report_of
-from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
+from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, ViewCollector
 
 from ..console import GRADE_STYLE, doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
@@ -44,7 +44,11 @@ def calibrate_footage(
     failures: list[InputError] = []
     for footage in open_footage_of_cameras(sources).values():
         try:
-            result = _calibrate_one(footage, board, model, console)
+            views = _collected(footage, board, "plumb_bob" if model == AUTO else model)
+            until_stopped()
+            seen = f"{views.examined} images, board found in {views.found}, {len(views)} views kept"
+            console.print(f"{footage.name}: {seen}")
+            result = calibrate_intrinsics(views.detections, board, name=footage.name, model=model)
             save_results(output, result, board, ", ".join(sources))
             results.append(result)
         except InputError as error:
@@ -57,17 +61,7 @@ def calibrate_footage(
     return results, failures
 
 
-def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Console) -> Intrinsics:
-    watcher = _watched(footage, board, "plumb_bob" if model == AUTO else model)
-    until_stopped()
-    console.print(
-        f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
-        f"{len(watcher.collector)} views kept"
-    )
-    return calibrate_intrinsics(watcher.collector.detections, board, name=footage.name, model=model)
-
-
-def _watched(footage: CameraFootage, board: Board, model: str) -> BoardImageProcessor:
+def _collected(footage: CameraFootage, board: Board, model: str) -> ViewCollector:
     """Search the footage's images for ``board``, evenly chosen from a long video, until the views suffice.
 
     Where few views are found, a second pass searches each image longer. Raises InputError when too few images show
@@ -75,31 +69,31 @@ def _watched(footage: CameraFootage, board: Board, model: str) -> BoardImageProc
     """
     count, done = footage.count, doing(f"{footage.name}: looking for the board in images")
     few = not footage.is_video and count <= FEW_PICTURES
-    watcher = BoardImageProcessor(board, footage.name, ViewCollector(board, model=model, every=few), thorough=few)
+    views = ViewCollector(board, footage.name, model=model, every=few, thorough=few)
     for examined in (MAX_EXAMINED,) if few else (MAX_EXAMINED, MAX_THOROUGH):
         before: np.ndarray | None = None
         for index, (frame_index, image) in enumerate(footage):
             if index % max(1, count // examined) == 0:
-                watcher.process(image, before if footage.is_video else None, frame_index)
-                done(watcher.examined)
-                if footage.is_video and watcher.collector.enough:
-                    return watcher
+                views.process(image, before if footage.is_video else None, frame_index)
+                done(views.examined)
+                if footage.is_video and views.enough:
+                    return views
             before = image
-        if len(watcher.collector) >= ENOUGH_VIEWS:
+        if len(views) >= ENOUGH_VIEWS:
             break
-        watcher.thorough = True
-    if len(watcher.collector) < MIN_VIEWS:
+        views.thorough = True
+    if len(views) < MIN_VIEWS:
         step = max(1, count // DIAGNOSED)
         some = (image for index, (_, image) in enumerate(footage) if index % step == 0)
         other = next((text for text in (diagnose_board(image, board) for image in some) if text), "")
-        counted = ", ".join(f"{count} {reason}" for reason, count in watcher.reasons.most_common())
+        counted = ", ".join(f"{count} {reason}" for reason, count in views.reasons.most_common())
         raise InputError(
-            f"{len(watcher.collector)} of {watcher.examined} images show the board usably ({counted})"
+            f"{len(views)} of {views.examined} images show the board usably ({counted})"
             + (f"; {other}" if other else ""),
             where=footage.name,
             remedy="Name the board that was filmed; film it sharp, well lit and whole, 20 or more views.",
         )
-    return watcher
+    return views
 
 
 def save_results(folder: Path, result: Intrinsics, board: Board, source: str) -> list[Path]:
@@ -131,18 +125,14 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
 
 
 def remarks(result: Intrinsics) -> Iterable[str]:
-    """Findings, the choice of the lens model, and images and corners left out."""
+    """Findings, the choice of the lens model, and how many images and corners were left out."""
     yield from map(str, result.verdict.findings)
     if result.choice is not None:
         yield f"lens model {result.choice.model}: {result.choice.reason}"
-    whole = [entry for entry in result.left_out if entry.whole]
-    for entry in whole[:3]:
-        yield f"left out image {entry.detection.frame_index}: {entry.reason}"
-    if len(whole) > 3:
-        yield f"left out {len(whole) - 3} more images; see the report"
+    images = sum(entry.whole for entry in result.left_out)
     corners = sum(len(entry.corners) for entry in result.left_out)
-    if corners:
-        yield f"left out {corners} single corners; see the report"
+    if images or corners:
+        yield f"left out {images} images and {corners} single corners; see the report"
 
 
 def figures(result: Intrinsics) -> dict[str, Any]:

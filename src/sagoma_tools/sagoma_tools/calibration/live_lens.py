@@ -9,7 +9,7 @@ import argparse
 import threading
 import time
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ from capture_rig.verdict import REDO
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics
-from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
+from rig_calibration.intrinsics.selection import ViewCollector
 from sagoma_ros.images import camera_info_message, decode_image, preview_message
 from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import to_ns
@@ -43,11 +43,10 @@ Message: TypeAlias = Image | CompressedImage
 def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> Intrinsics:
     """Collect, calibrate, save; Ctrl-C ends collecting only. Raises InputError: no images, too few views."""
     name = camera_name_of(args.topic)
-    collector = ViewCollector(board, model="plumb_bob" if args.model == AUTO else args.model)
-    watcher = BoardImageProcessor(board, name, collector)
+    collector = ViewCollector(board, name, model="plumb_bob" if args.model == AUTO else args.model)
     with RosLink("sagoma_calibrate") as link:
         with StopOnSignal() as stop:
-            camera = LiveCamera(link.node, args.topic, watcher)
+            camera = LiveCamera(link.node, args.topic, collector)
             try:
                 _collect(camera, link.node, stop, args)
             finally:
@@ -81,14 +80,14 @@ def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argpar
     while not stop.is_set():
         camera.changed.wait(ROUND_S)
         camera.changed.clear()
-        shown, passed_s = camera.shown, time.monotonic() - begun_s
-        done(shown.line)
+        (line, views, enough), passed_s = camera.shown, time.monotonic() - begun_s
+        done(line)
         if camera.error is not None:
             raise camera.error
         if camera.received == 0 and passed_s > args.wait:
             raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
         over = args.seconds is not None and passed_s > args.seconds
-        if shown.enough or over or (args.views is not None and shown.views >= args.views):
+        if enough or over or (args.views is not None and views >= args.views):
             return
 
 
@@ -100,22 +99,14 @@ def _who_publishes(node: Node) -> str:
     return f"{listed}; start the camera client, and check ROS_DOMAIN_ID."
 
 
-class Shown(NamedTuple):
-    """The progress of collecting views, in a line; how many there are, and whether they suffice."""
-
-    line: str
-    views: int
-    enough: bool
-
-
 class LiveCamera:
-    """Subscribes to ``topic`` (best effort), feeds ``watcher`` on a worker thread, and publishes a preview.
+    """Subscribes to ``topic`` (best effort), feeds ``collector`` on a worker thread, and publishes a preview.
 
     ``changed`` is set after every image that was processed; ``error`` is the exception that ended it, if there was one.
     """
 
-    def __init__(self, node: Node, topic: str, watcher: BoardImageProcessor) -> None:
-        self._topic, self._watcher = topic, watcher
+    def __init__(self, node: Node, topic: str, collector: ViewCollector) -> None:
+        self._topic, self._collector = topic, collector
         self.changed = threading.Event()
         self.error: Exception | None = None
         self.received = 0
@@ -150,17 +141,15 @@ class LiveCamera:
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        detection, reason = self._watcher.process(image, before, number)
-        collector, header = self._watcher.collector, pair[1].header
+        detection, reason = self._collector.process(image, before, number)
         self._show(reason or "taken")
         if self._preview.get_subscription_count():
-            picture = draw_preview(image, detection, reason, collector)
+            picture, header = draw_preview(image, detection, reason, self._collector), pair[1].header
             self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
-        """Describe the progress, on the thread that makes it."""
-        collector, watcher = self._watcher.collector, self._watcher
-        self.shown = Shown(plain_line(watcher, last), len(collector), collector.enough)
+        """Describe the progress, on the thread that makes it: a line, the number of views, whether they suffice."""
+        self.shown = plain_line(self._collector, last), len(self._collector), self._collector.enough
         self.changed.set()
 
 
@@ -177,14 +166,13 @@ def camera_name_of(topic: str) -> str:
 # display --------------------------------------------------------------------------------------------------------------
 
 
-def plain_line(watcher: BoardImageProcessor, last: str) -> str:
+def plain_line(collector: ViewCollector, last: str) -> str:
     """Return the progress as a line; ``last`` : what came of the last image."""
-    collector = watcher.collector
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
-    expected = collector.expected
-    known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
+    expected = collector.expected_sd
+    known = f", f ± {100 * expected[0]:.2f} %, centre ± {expected[1]:.1f} px" if expected else ""
     advice = collector.advice() or "enough"
-    return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {advice} (last image: {last})"
+    return f"{collector.camera}: {len(collector)} views; {progress}{known}; {advice} (last image: {last})"
 
 
 TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR
@@ -204,17 +192,11 @@ def draw_preview(
         colour, radius = FOUND if reason else TAKEN, max(2, width // 200)
         for x, y in np.rint(detection.pixels).astype(int):
             cv2.circle(picture, (int(x), int(y)), radius, colour, max(1, radius // 2))
-    _write(picture, collector.advice() or "enough", 1)
-    _write(picture, reason or "taken", 2)
+    for line, text in enumerate((collector.advice() or "enough", reason or "taken"), 1):  # from the bottom
+        scale = TEXT_HEIGHT_SHARE * height / 22
+        needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
+        scale *= min(1.0, 0.97 * width / max(needed, 1))
+        place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
+        for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):  # readable on any background
+            cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)
     return picture
-
-
-def _write(picture: np.ndarray, text: str, line: int) -> None:
-    """Write a line of text, counted from the bottom, readable on any background."""
-    height, width = picture.shape[:2]
-    scale = TEXT_HEIGHT_SHARE * height / 22
-    needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
-    scale *= min(1.0, 0.97 * width / max(needed, 1))
-    place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
-    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from rig_calibration.extrinsics.board_frames import FloorAt, average_still_board
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, Target
 from rig_calibration.extrinsics.world import WorldChoice
 
-from .rig_detections import Cameras, CamerasDetections, missing_reason
+from .rig_detections import Cameras, CamerasDetections
 
 FEWEST_POINTS = 4
 CLICKED_SD_PX = 1.0
@@ -33,39 +33,30 @@ CALIBRATE = "Run sagoma calibrate intrinsics for it first"
 
 
 class RigInputs:
-    """Detections and the targets they name.
-
-    moved_frames : by camera, the number of frames in which the floor board lay elsewhere, and of all its frames.
-    floor_guess : frames in which the carried board was taken to lie on the floor.
-    """
+    """Detections and the targets they name."""
 
     def __init__(self) -> None:
         self.detections: list[TargetDetection] = []
         self.targets: dict[str, Target] = {}
-        self.moved_frames: dict[str, tuple[int, int]] = {}
-        self.floor_guess: tuple[int, ...] = ()
 
     def add_floor(self, detections: Iterable[TargetDetection], board: Board, target: Target) -> None:
         """Add the board on the floor: each camera's frames averaged."""
         by_camera: dict[str, list[TargetDetection]] = {}
         for detection in sorted(detections, key=lambda detection: detection.camera):
             by_camera.setdefault(detection.camera, []).append(detection)
-        for name, seen in by_camera.items():
-            still, elsewhere = average_still_board(seen, board)
-            self.detections.append(still)
-            self.moved_frames[name] = len(elsewhere), len(seen)
+        for seen in by_camera.values():
+            self.detections.append(average_still_board(seen, board))
             self.targets[FLOOR] = target
 
     def add_moving(
         self, cameras: Cameras, moving: Sequence[TargetDetection], board: Board, choice: WorldChoice, at: FloorAt | None
-    ) -> None:
-        """Add the carried board; what it shows ``at`` the frame at which it lies on the floor is the floor target."""
-        if at is not None:
-            lying = frames_on_floor(cameras, moving, board, at)
-            self.add_floor((s for s in moving if s.frame_index in lying), board, Target.of(board, choice))
-            self.floor_guess = lying if at == "lowest" else ()
-            moving = [detection for detection in moving if detection.frame_index not in lying]
-        self.add_carried(moving, MOVING, Target.of(board))
+    ) -> tuple[int, ...]:
+        """Add the carried board; what it shows ``at`` the frame at which it lies on the floor is the floor target.
+        Returns the frames in which it was taken to lie there."""
+        lying = () if at is None else frames_on_floor(cameras, moving, board, at)
+        self.add_floor((s for s in moving if s.frame_index in lying), board, Target.of(board, choice))
+        self.add_carried([s for s in moving if s.frame_index not in lying], MOVING, Target.of(board))
+        return lying
 
     def add_carried(self, carried: Sequence[TargetDetection], name: str, target: Target) -> None:
         """Add what was carried, in the frames that several cameras share."""
@@ -74,19 +65,13 @@ class RigInputs:
             self.detections += [detection for detection in carried if detection.frame_index in shared]
             self.targets[name] = target
 
-    def add_floor_points(self, path: str | Path, cameras: Cameras) -> None:
-        """Add measured points as the floor target, seen by those of ``cameras`` that the file names. A third number of
-        a point is its height. Raises InputError naming file, camera, point and remedy."""
-        document = read_mapping(Path(path), FORMAT)
-        points = {
-            str(name): _numbers(xy, (2, 3), f"{path}: points.{name}") for name, xy in _part(document, "points", path)
-        }
-        order = {name: index for index, name in enumerate(points)}
-        for name, seen in _part(document, "cameras", path):
-            if name in cameras:
-                self.detections.append(_detection(cameras[name], seen, order, f"{path}: cameras.{name}"))
-        world = np.array([[*xy, 0.0][:3] for xy in points.values()])
-        self.targets[FLOOR] = Target(world, T_world_target=np.eye(4))
+    def add_floor_points(self, points: FloorPoints, cameras: Cameras) -> None:
+        """Add measured points as the floor target, seen by those of ``cameras`` that the file names."""
+        for name in sorted(points.seen.keys() & cameras.keys()):
+            ids, pixels = points.seen[name]
+            size = cameras[name].width, cameras[name].height
+            self.detections.append(TargetDetection(name, 0, ids, pixels, size, FLOOR, CLICKED_SD_PX))
+        self.targets[FLOOR] = Target(points.world, T_world_target=np.eye(4))
 
 
 def require_seen(
@@ -99,7 +84,7 @@ def require_seen(
     if not unseen:
         return
     reasons = [
-        f"{name} ({kind}): {missing_reason(seen[name], board)}"
+        f"{name} ({kind}): {seen[name].missing_reason(board)}"
         for name in unseen
         for kind, seen, board in searched
         if name in seen
@@ -112,29 +97,37 @@ def require_seen(
     )
 
 
-def names_in_floor_points(path: str | Path) -> list[str]:
-    """Return the cameras that the file names."""
-    return [str(name) for name, _ in _part(read_mapping(Path(path), FORMAT), "cameras", path)]
+class FloorPoints(NamedTuple):
+    """Points that were measured on the floor: ``world`` (n, 3), m; by camera, which it shows (ids) and where, px."""
+
+    world: np.ndarray
+    seen: dict[str, tuple[np.ndarray, np.ndarray]]
 
 
-def _part(document: Mapping[str, Any], key: str, path: str | Path) -> list[tuple[str, Any]]:
+def read_floor_points(path: Path) -> FloorPoints:
+    """Read a file of measured points; a third number of a point is its height. Raises InputError naming file, camera,
+    point and remedy."""
+    document = read_mapping(path, FORMAT)
+    points = {name: _numbers(xy, (2, 3), f"{path}: points.{name}") for name, xy in _part(document, "points", path)}
+    order, found = {name: index for index, name in enumerate(points)}, {}
+    for camera, seen in _part(document, "cameras", path):
+        where = f"{path}: cameras.{camera}"
+        if not isinstance(seen, Mapping) or len(seen) < FEWEST_POINTS:
+            remedy = "Measure more points, spread over what the camera sees."
+            raise InputError(f"shows fewer than {FEWEST_POINTS} points", where=where, remedy=remedy)
+        if unknown := sorted(set(map(str, seen)) - set(order)):
+            remedy = f"Known points: {', '.join(order)}."
+            raise InputError(f"point '{unknown[0]}' is not among the measured ones", where=where, remedy=remedy)
+        pixels = np.array([_numbers(uv, (2,), f"{where}.{name}") for name, uv in seen.items()])
+        found[camera] = np.array([order[str(name)] for name in seen]), pixels
+    return FloorPoints(np.array([[*xy, 0.0][:3] for xy in points.values()]), found)
+
+
+def _part(document: Mapping[str, Any], key: str, path: Path) -> list[tuple[str, Any]]:
     part = document.get(key)
     if not isinstance(part, Mapping) or not part:
         raise InputError(f"key '{key}' is missing or empty", where=str(path), remedy=FORMAT)
     return [(str(name), value) for name, value in part.items()]
-
-
-def _detection(camera: CameraModel, seen: Any, order: Mapping[str, int], where: str) -> TargetDetection:
-    if not isinstance(seen, Mapping) or len(seen) < FEWEST_POINTS:
-        remedy = "Measure more points, spread over what the camera sees."
-        raise InputError(f"shows fewer than {FEWEST_POINTS} points", where=where, remedy=remedy)
-    unknown = sorted(set(map(str, seen)) - set(order))
-    if unknown:
-        remedy = f"Known points: {', '.join(order)}."
-        raise InputError(f"point '{unknown[0]}' is not among the measured ones", where=where, remedy=remedy)
-    pixels = np.array([_numbers(uv, (2,), f"{where}.{name}") for name, uv in seen.items()])
-    ids = np.array([order[str(name)] for name in seen], np.int64)
-    return TargetDetection(camera.name, 0, ids, pixels, (camera.width, camera.height), FLOOR, CLICKED_SD_PX)
 
 
 def _numbers(value: Any, lengths: tuple[int, ...], where: str) -> list[float]:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -30,7 +31,7 @@ from ..console import doing, until_stopped
 from ..graph import PATIENCE_S, ROUND_S
 from ..graph.ros_link import settled
 from .footage import Shots
-from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, find_floor
+from .rig_detections import CameraDetections, Cameras, CamerasDetections, Corners, detections_of, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
@@ -55,10 +56,7 @@ class MotionRecorder:
             topics, tolerance_ns=TOLERANCE_NS, deadline_ns=DEADLINE_NS
         )
         self._pool = ThreadPoolExecutor(max(1, len(topics)))
-        self._lock = threading.Lock()
-        self._detections: list[TargetDetection] = []
-        self._pictures: dict[str, np.ndarray] = {}
-        self._blurred = dict.fromkeys(topics, 0)
+        self._found = {name: CameraDetections(partial(self._find, name)) for name in sorted(topics)}
         self.changed = threading.Event()
         self.error: Exception | None = None
         self.examined = self.received = 0
@@ -72,22 +70,11 @@ class MotionRecorder:
 
     def progress(self) -> tuple[int, str]:
         """Return the frames that tie cameras together so far, and what is missing."""
-        with self._lock:
-            return motion_advice(tuple(self._topics), self._detections)
+        return motion_advice(tuple(self._topics), detections_of(self._found))
 
     def seen(self) -> CamerasDetections:
-        """Return the detections of each camera."""
-        with self._lock:
-            return {
-                name: CameraDetections(
-                    name,
-                    tuple(s for s in self._detections if s.camera == name),
-                    self.examined,
-                    self._blurred[name],
-                    picture,
-                )
-                for name, picture in sorted(self._pictures.items())
-            }
+        """Return what was found in the pictures of each camera that has delivered any."""
+        return {name: found for name, found in self._found.items() if found.examined}
 
     def __enter__(self) -> MotionRecorder:
         return self
@@ -106,26 +93,21 @@ class MotionRecorder:
 
     def _process(self, frames: FrameSet[Image]) -> None:
         """Search one frame set, on the worker's thread."""
-        frame_index = self.examined
-        jobs = {n: self._pool.submit(self._find, n, frame_index, message) for n, message in frames.frames.items()}
-        found = {name: job.result() for name, job in jobs.items()}
-        with self._lock:
-            self.examined += 1
-            self._detections += [detection for detection in found.values() if detection is not None]
+        jobs = [self._pool.submit(self._examine, name, message) for name, message in frames.frames.items()]
+        for job in jobs:
+            job.result()
+        self.examined += 1
         self.changed.set()
 
-    def _find(self, name: str, frame_index: int, message: Image) -> TargetDetection | None:
-        image = decode_image(message, self._topics[name])
-        self._pictures.setdefault(name, image)
-        detection = find_board(image, self._board, camera=name, frame_index=frame_index, target=MOVING)
-        if detection is not None and detection.blur_px > MAX_BLUR_PX:
-            self._blurred[name] += 1
-            return None
-        return detection
+    def _examine(self, name: str, message: Image) -> None:
+        with suppress(InputError):  # one bad picture: the next may be better
+            self._found[name].examine(decode_image(message, self._topics[name]), self.examined)
+
+    def _find(self, name: str, image: np.ndarray, frame_index: int) -> TargetDetection | None:
+        return find_board(image, self._board, camera=name, frame_index=frame_index, target=MOVING)
 
     def _fail(self, error: Exception) -> None:
-        if not isinstance(error, InputError):  # one bad picture: the next may be better
-            self.error = error
+        self.error = error
         self.changed.set()
 
 

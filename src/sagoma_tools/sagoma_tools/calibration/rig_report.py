@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import cv2
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,20 +23,18 @@ from capture_rig.rig import Volume, save_rig
 from capture_rig.visibility import CELL_M
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
-from rig_calibration.extrinsics.world import CameraFigures
 from rig_calibration.intrinsics.picture import draw_residuals
 
 from ..console import GRADE_STYLE
 from ..doctor.rig import carried
 from ..recording.writer import own_version
 
-CAMERA_FIGURES = (
+FIGURES = (
     ("detections", "detections", "d"),
     ("rms px", "rms_px", ".2f"),
     ("mm/px", "mm_per_px", ".1f"),
     ("distance m", "distance_m", ".2f"),
     ("height m", "height_m", ".2f"),
-    ("floor board at deg", "floor_angle_deg", ".0f"),
     ("sd place mm", "sd_centre_mm", ".1f"),
     ("sd turn deg", "sd_rotation_deg", ".3f"),
 )
@@ -49,11 +46,11 @@ def write_outputs(
 ) -> list[Path]:
     """Write the rig to ``path``, and beside it STEM.report.yaml, STEM.png and, for each camera that has a picture of
     the floor, STEM_CAMERA.png; returns all paths. The rig's bytes depend on the detections alone. Raises InputError."""
-
     make_folder(path.parent)
     save_rig(calibrated.rig, path)
-    written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
-    written.append(draw_rig(path.with_suffix(".png"), calibrated))
+    written = [path, path.with_suffix(".report.yaml"), path.with_suffix(".png")]
+    save_mapping(written[1], report_of(calibrated, asked), default_flow_style=None, width=120)
+    draw_rig(written[2], calibrated)
     found = {s.camera: s.pixels for s in calibrated.solution.detections if s.target == FLOOR}
     for camera in calibrated.rig.cameras:
         if calibrated.floor_world is not None and camera.name in pictures:
@@ -65,38 +62,23 @@ def write_outputs(
     return written
 
 
-def residuals_of(calibrated: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by camera all its corners (n, 2), and found minus expected (n, 2), px."""
-    solution = calibrated.solution
-    pairs = list(zip(solution.detections, solution.residuals_px, strict=True))
-    return {
-        name: (
-            np.concatenate([detection.pixels for detection, _ in pairs if detection.camera == name]),
-            np.concatenate([residuals for detection, residuals in pairs if detection.camera == name]),
-        )
-        for name in calibrated.rig.names
-    }
-
-
 def print_report(console: Console, calibrated: RigCalibration) -> None:
-    """Print the figures of cameras and rig, detections left out, the verdict, and what to measure with a tape."""
-    console.print(_table(calibrated.figures))
-    console.print(f"rms of all corners {calibrated.rms_px:.2f} px")
-    size = calibrated.rig.volume.high - calibrated.rig.volume.low
-    common = calibrated.common
-    enough = common.enough
+    """Print the figures of cameras and rig, the verdict, and what to measure with a tape."""
+    table = Table(title="cameras", title_justify="left")
+    table.add_column("camera")
+    for heading, _, _ in FIGURES:
+        table.add_column(heading, justify="right")
+    for name, its in calibrated.figures.items():
+        table.add_row(name, *(f"{getattr(its, figure):{form}}" for _, figure, form in FIGURES))
+    console.print(table)
+    size, common = calibrated.rig.volume.high - calibrated.rig.volume.low, calibrated.common
+    left_out = len(calibrated.solution.left_out)
+    console.print(f"rms of all corners {calibrated.rms_px:.2f} px; {left_out} detections left out (see the report)")
     console.print(
-        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see a standing person on "
-        f"{common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
+        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {common.enough} cameras or more see a standing person"
+        f" on {common.floor_m2[common.enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
     )
     console.print(carried(calibrated.rig))
-    if (frames := calibrated.floor_guess) != ():
-        console.print(f"floor: the carried board in frames {', '.join(map(str, frames))}, where nothing was below it")
-    for left in calibrated.solution.left_out[:5]:
-        detection = left.detection
-        console.print(f"left out: {detection.camera}, {detection.target}, frame {detection.frame_index}: {left.reason}")
-    if len(calibrated.solution.left_out) > 5:
-        console.print(f"... and {len(calibrated.solution.left_out) - 5} more, in the report")
     for check in calibrated.tape:
         console.print(str(check))
     verdict = calibrated.verdict
@@ -108,73 +90,54 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
 
 def tape_request(calibrated: RigCalibration) -> str:
     """Return what to measure with a tape: no picture shows whether the print has the stated size."""
-    cameras = calibrated.rig.cameras
+    first, *others = calibrated.rig.cameras
     parts = []
     if calibrated.floor_world is not None:
-        parts.append(f"the lens of {cameras[0].name} is {cameras[0].centre_world[2]:.2f} m above the floor")
-    if len(cameras) > 1:
-        apart = np.linalg.norm(cameras[0].centre_world - cameras[1].centre_world)
-        parts.append(f"the lenses of {cameras[0].name} and {cameras[1].name} are {apart:.2f} m apart")
+        parts.append(f"the lens of {first.name} is {first.centre_world[2]:.2f} m above the floor")
+    if others:
+        apart = np.linalg.norm(first.centre_world - others[0].centre_world)
+        parts.append(f"the lenses of {first.name} and {others[0].name} are {apart:.2f} m apart")
     return f"Measure with a tape: {', and '.join(parts)}. If not, the board's size is wrong."
 
 
-def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any]) -> Path:
-    """Write figures, verdict, detections left out, the arguments, date and versions."""
-    document = {
+def report_of(calibrated: RigCalibration, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Make plain data of figures, verdict, detections left out, the arguments, date and versions."""
+    volume, common, solution = calibrated.rig.volume, calibrated.common, calibrated.solution
+    return {
         "verdict": calibrated.verdict.grade,
         "findings": [asdict(finding) for finding in calibrated.verdict.findings],
         "measure": tape_request(calibrated),
-        "rig": _rig_document(calibrated),
+        "rig": {
+            "rms_px": _rounded(calibrated.rms_px),
+            "volume_m": {"low": volume.low.tolist(), "high": volume.high.tolist()},
+            "cameras_for_seen": common.enough,
+            "floor_m2_seen_by_1_to_all": _rounded(common.floor_m2),
+            "scale": {
+                name: dict(zip(("ratio", "sd"), _rounded(of), strict=True)) for name, of in solution.scale_of.items()
+            },
+            "tape": [str(check) for check in calibrated.tape],
+        },
         "cameras": {
-            name: _camera_document(camera, calibrated.solution.covariance[name])
-            for name, camera in calibrated.figures.items()
+            name: {key: _rounded(value) for key, value in asdict(its).items()}
+            | {"pose_covariance": _rounded(solution.covariance[name])}
+            for name, its in calibrated.figures.items()
         },
         "left_out": [
             {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
-            for left in calibrated.solution.left_out
+            for left in solution.left_out
             for of in [left.detection]
         ],
         "asked": dict(asked),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": {"sagoma_tools": own_version(), "opencv": cv2.__version__, "numpy": np.__version__},
     }
-    save_mapping(path, document, default_flow_style=None, width=120)
-    return path
 
 
-def _table(figures: Mapping[str, CameraFigures]) -> Table:
-    table = Table(title="cameras", title_justify="left")
-    table.add_column("camera")
-    for heading, _, _ in CAMERA_FIGURES:
-        table.add_column(heading, justify="right")
-    for camera in figures.values():
-        values = [(getattr(camera, name), form) for _, name, form in CAMERA_FIGURES]
-        table.add_row(camera.name, *("never" if value is None else f"{value:{form}}" for value, form in values))
-    return table
-
-
-def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
-    volume, common = calibrated.rig.volume, calibrated.common
-    return {
-        "rms_px": _rounded(calibrated.rms_px),
-        "volume_m": {"low": volume.low.tolist(), "high": volume.high.tolist()},
-        "cameras_for_seen": common.enough,
-        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in common.floor_m2],
-        "scale": {
-            name: {"ratio": _rounded(ratio), "sd": _rounded(sd)}
-            for name, (ratio, sd) in sorted(calibrated.solution.scale_of.items())
-        },
-        "tape": [str(check) for check in calibrated.tape],
-    }
-
-
-def _camera_document(camera: CameraFigures, covariance: np.ndarray) -> dict[str, Any]:
-    document: dict[str, Any] = {name: _rounded(getattr(camera, name)) for _, name, _ in CAMERA_FIGURES}
-    return document | {"pose_covariance": [[float(f"{value:.4g}") for value in row] for row in covariance]}
-
-
-def _rounded(value: float | None) -> float | int | None:
-    return value if value is None or isinstance(value, int) else float(f"{value:.5g}")
+def _rounded(value: Any) -> Any:
+    """Five digits of a number, or of all in an array."""
+    if isinstance(value, int):
+        return value
+    return float(f"{value:.5g}") if np.ndim(value) == 0 else [_rounded(each) for each in value]
 
 
 # pictures -------------------------------------------------------------------------------------------------------------
@@ -187,14 +150,17 @@ GRID_M, GRID_REACH_M, AXIS_M = 0.5, 3.0, 0.5
 GRID, VOLUME, FOUND, EXPECTED, AXES = "#ffc800", "#50c850", "#00ffff", "#ff3c3c", ("#ff0000", "#00ff00", "#0050ff")
 
 
-def draw_rig(path: Path, calibrated: RigCalibration) -> Path:
+def draw_rig(path: Path, calibrated: RigCalibration) -> None:
     """Write the picture: the rig from above and from the side, and each camera's residuals."""
-    cameras, residuals = calibrated.rig.cameras, residuals_of(calibrated)
+    cameras, common, solution = calibrated.rig.cameras, calibrated.common, calibrated.solution
     rows = -(-len(cameras) // COLUMNS)
     figure = Figure(figsize=(15, 6.5 + 3.0 * rows), constrained_layout=True)
     views, panels = cast(np.ndarray, figure.subfigures(2, 1, height_ratios=[6.5, 3.0 * rows]))
     plan, side = views.subplots(1, 2, width_ratios=[1.15, 1.0])
-    _draw_coverage(plan, calibrated)
+    levels = np.arange(len(cameras) + 2) - 0.5
+    plan.pcolormesh(common.x, common.y, common.standing.T, cmap="Greys", vmin=0, vmax=2 * levels[-1], alpha=0.8)
+    inside = plan.contour(common.x, common.y, common.standing.T, levels=levels[1:-1], colors="0.4", linewidths=0.6)
+    plan.clabel(inside, fmt=lambda level: f"{level + 0.5:.0f}", fontsize=7)
     for axes, (right, up) in ((plan, (X, Y)), (side, (X, Z))):
         _draw_view(axes, calibrated, right, up)
     plan.set_title("from above: how many cameras see a standing person", fontsize=10)
@@ -202,24 +168,15 @@ def draw_rig(path: Path, calibrated: RigCalibration) -> Path:
     side.axhline(0.0, color="0.5", linewidth=1)
     grid = panels.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes, camera in zip(grid, cameras, strict=False):
-        magnified = draw_residuals(axes, camera, *residuals[camera.name])
+        pairs = zip(solution.detections, solution.residuals_px, strict=True)
+        of = [(detection.pixels, residuals) for detection, residuals in pairs if detection.camera == camera.name]
+        magnified = draw_residuals(axes, camera, *(np.concatenate(part) for part in zip(*of, strict=True)))
         axes.set(xticks=[], yticks=[])
         rms_px = calibrated.figures[camera.name].rms_px
         axes.set_title(f"{camera.name}: {rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)
     for axes in grid[len(cameras) :]:
         axes.set_axis_off()
-    matplotlib.rcParams["svg.hashsalt"] = "rig"
     figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    return path
-
-
-def _draw_coverage(axes: Axes, calibrated: RigCalibration) -> None:
-    common = calibrated.common
-    levels = np.arange(len(calibrated.rig.cameras) + 2) - 0.5
-    mesh = axes.pcolormesh(common.x, common.y, common.standing.T, cmap="Greys", vmin=0, vmax=2 * levels[-1], alpha=0.8)
-    mesh.set_rasterized(True)
-    inside = axes.contour(common.x, common.y, common.standing.T, levels=levels[1:-1], colors="0.4", linewidths=0.6)
-    axes.clabel(inside, fmt=lambda level: f"{level + 0.5:.0f}", fontsize=7)
 
 
 def _draw_view(axes: Axes, calibrated: RigCalibration, right: int, up: int) -> None:
@@ -228,34 +185,21 @@ def _draw_view(axes: Axes, calibrated: RigCalibration, right: int, up: int) -> N
     size = high - low
     axes.add_patch(Rectangle((low[right], low[up]), size[right], size[up], fill=False, color=BOX, linewidth=1.5))
     for camera in rig.cameras:
-        for edge in _frustum_edges(camera):
+        w, h, centre = camera.width - 1.0, camera.height - 1.0, camera.centre_world
+        corners = np.array([[0.0, 0.0, 1.0], [w, 0.0, 1.0], [w, h, 1.0], [0.0, h, 1.0]]) @ np.linalg.inv(camera.K).T
+        ends = centre + AXIS_M * corners @ camera.R_camera_world  # of a pinhole: no lens model reaches all corners
+        for edge in [*(np.stack([centre, end]) for end in ends), np.vstack([ends, ends[:1]])]:
             axes.plot(edge[:, right], edge[:, up], color=CAMERA, linewidth=0.8)
-        centre = camera.centre_world
         axes.plot(centre[right], centre[up], "o", color=CAMERA, markersize=5)
         axes.annotate(camera.name, (centre[right], centre[up]), xytext=(5, 5), textcoords="offset points", fontsize=9)
     if board_world is not None:
         axes.plot(board_world[:, right], board_world[:, up], ".", color=BOARD, markersize=2)
     axes.plot(0.0, 0.0, "+", color=BOARD, markersize=12)
-    axes.set_aspect("equal")
-    axes.grid(alpha=0.3)
-    axes.set_xlabel(f"{'xyz'[right]} [m]")
-    axes.set_ylabel(f"{'xyz'[up]} [m]")
     places = np.array([camera.centre_world for camera in rig.cameras] + [low, high])
-    for set_limits, axis in ((axes.set_xlim, right), (axes.set_ylim, up)):
-        set_limits(places[:, axis].min() - 0.6, places[:, axis].max() + 0.6)
-
-
-def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
-    """Return the lines (k, 3) from the centre to the image's corners, at AXIS_M, and around them."""
-    w, h = camera.width - 1.0, camera.height - 1.0
-    rays = camera.rays_world(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
-    if not np.isfinite(rays).all():  # a lens model that does not reach the corners
-        pinhole = np.array([[0.0, 0.0, 1.0], [w, 0.0, 1.0], [w, h, 1.0], [0.0, h, 1.0]]) @ np.linalg.inv(camera.K).T
-        rays = pinhole @ camera.R_camera_world
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    centre = camera.centre_world
-    ends = centre + AXIS_M * rays / (rays @ camera.R_camera_world[2])[:, None]
-    return [np.stack([centre, end]) for end in ends] + [np.vstack([ends, ends[:1]])]
+    (left, bottom), (rightmost, top) = places.min(axis=0)[[right, up]] - 0.6, places.max(axis=0)[[right, up]] + 0.6
+    axes.set(xlim=(left, rightmost), ylim=(bottom, top), aspect="equal")
+    axes.set(xlabel=f"{'xyz'[right]} [m]", ylabel=f"{'xyz'[up]} [m]")
+    axes.grid(alpha=0.3)
 
 
 def draw_overlay(

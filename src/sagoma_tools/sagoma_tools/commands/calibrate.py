@@ -123,8 +123,6 @@ def _add_extrinsics(steps: argparse._SubParsersAction) -> None:
     help_click = "write pictures with a grid, and a file of corners to fill in, of these cameras or of all without it"
     option("--click", nargs="*", default=None, metavar="NAME", help=help_click)
     option = parser.add_argument
-    help_refine = "adjust focal lengths and principal points as well, as far as NAME.report.yaml leaves them uncertain"
-    option("--refine-intrinsics", action="store_true", help=help_refine)
     option("--without", nargs="+", default=[], metavar="NAME", help="leave these cameras out")
     many = {"action": "append", "default": []}
     help_check = "distance between two lenses, measured with a tape"
@@ -155,12 +153,12 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
 def _add_world(group: argparse._ArgumentGroup) -> None:
     option = group.add_argument
     corner = "in metres from its first corner, along its rows and towards the top of the print"
-    help_origin = f"on the floor board: centre (default), first-corner, or x,y {corner}"
+    help_origin = f"on the floor board: centre (default), or x,y {corner}"
     option("--origin", default="centre", metavar="WHERE", help=help_origin)
     help_heading = "from the board's rows to world x, counterclockwise from above"
     option("--heading", type=number("degrees", -360, 360), default=0.0, metavar="DEG", help=help_heading)
     option("--board-thickness", type=number("m", 0, 0.5), default=0.0, metavar="METRES", help="of the floor board")
-    when = "a frame's number, first, last, lowest (default: found), or none (no floor is known)"
+    when = "a frame's number, lowest (default: found), or none (no floor is known)"
     option("--floor-at", metavar="WHEN", help=f"without --floor: when the carried board lies on the floor: {when}")
     option("--floor-points", metavar="FILE", help="YAML of points measured on the floor and seen by cameras")
 
