@@ -51,13 +51,9 @@ def takes(tmp_path, take_at):
     return TakesFolder(tmp_path / "takes")
 
 
-def silently(text):
-    pass
-
-
 def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, tmp_path):
     outside = take_bags.write_take(tmp_path / "outside", 1)
-    work = TakeActions(takes, lambda: "walk")
+    work = TakeActions(takes, Jobs(), lambda: "walk")
     sent = []
     for name in ("walk", "../outside", str(outside), ""):
         for asked in (
@@ -68,32 +64,32 @@ def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, 
             partial(work.video, name, lambda *file: sent.append(file)),
         ):
             with pytest.raises(InputError):
-                asked(silently)
+                asked()
     for new_name in ("../mine", "/tmp/mine", ""):
         with pytest.raises(InputError):
-            TakeActions(takes, lambda: "").trim("walk", new_name, 0.1, 0.3, silently)
+            TakeActions(takes, Jobs()).trim("walk", new_name, 0.1, 0.3)
     assert not sent and {path.name for path in tmp_path.iterdir()} == {"takes", "outside"}
     assert {path.name for path in takes.path.iterdir()} == {"walk"}
 
 
 def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):
     sent = {}
-    work = TakeActions(takes, lambda: "")
-    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__, silently)
+    work = TakeActions(takes, Jobs())
+    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__)
     assert sent["walk.bvh"].startswith(b"HIERARCHY")
-    work.export("walk", ALL_FORMATS, sent.__setitem__, silently)
+    work.export("walk", ALL_FORMATS, sent.__setitem__)
     names = set(zipfile.ZipFile(io.BytesIO(sent["walk_all_formats.zip"])).namelist())
     assert names == {path.name for path in (takes.path / "walk" / "export").iterdir()} and "walk.c3d" in names
 
 
 def test_one_job_runs_at_a_time_and_a_failure_is_said():
     jobs, begun = Jobs(), []
-    assert jobs.request("waiting", lambda tell: begun.append(1) or str(jobs.cancelled.wait(30.0)))
-    assert not jobs.request("second", lambda tell: "never") and "busy with: waiting" in jobs.said
+    assert jobs.request("waiting", lambda: begun.append(1) or str(jobs.cancelled.wait(30.0)))
+    assert not jobs.request("second", lambda: "never") and "busy with: waiting" in jobs.said
     jobs.cancelled.set()
     until(lambda: jobs.said == "True")
 
-    def fails(tell):
+    def fails():
         raise InputError("no such thing", remedy="Give another.")
 
     assert jobs.request("failing", fails)

@@ -37,7 +37,7 @@ from ..arguments import (
 from ..console import command_console, doing, until_stopped
 from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.lifecycle_client import LifecycleClient, State, groups_of
+from ..graph.lifecycle_client import LifecycleClient, State
 from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
 from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
@@ -188,7 +188,7 @@ def change_state(args: argparse.Namespace) -> int:
         found = sorted(our_nodes(link.node).union(found))
         doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
-        outcome = client.bring(groups_of(found, args.cameras_first), args.goal, args.timeout)
+        outcome = client.bring(found, args.goal, args.cameras_first, args.timeout)
         states = client.states(found)
     for name in found:
         print(f"{name}: {states[name] or 'did not answer'}")

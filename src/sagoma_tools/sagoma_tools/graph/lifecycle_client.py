@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -62,14 +62,6 @@ def next_on_the_way(state: State, goal: State) -> State:
     return STATES[here + (1 if there > here else -1)]
 
 
-def groups_of(names: Iterable[str], cameras_first: bool) -> list[list[str]]:
-    """Return camera clients and server's nodes (full names) as two groups: cameras last on the way up, first down."""
-    groups: list[list[str]] = [[], []]
-    for name in names:
-        groups[is_camera(name) != cameras_first].append(name)
-    return groups
-
-
 class LifecycleClient:
     """Sends lifecycle requests to many nodes concurrently through ``node``, which another thread must spin."""
 
@@ -84,9 +76,15 @@ class LifecycleClient:
         return {_owner(service): reply and reply.current_state.label for service, reply in replies.items()}
 
     def bring(
-        self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
+        self,
+        nodes: Collection[str],
+        goal: State,
+        cameras_first: bool = False,
+        timeout_s: float | None = None,
+        contact_s: float = ANSWER_S,
     ) -> Outcome:
-        """Bring every node to ``goal`` from its present state, group after group, a group's nodes in step.
+        """Bring every node (full names) to ``goal`` from its present state: cameras last on the way up, or first on the
+        way down, and each kind in step.
 
         timeout_s : for each answer; None: as long as a node that starts may take on the way up (it learns a background,
         opens a camera, at its very first start compiles), and one that stops on the way down. contact_s : how long a
@@ -94,8 +92,9 @@ class LifecycleClient:
         keeps its state; the others go on.
         """
         outcome = Outcome()
-        for group in groups:
+        for cameras in (cameras_first, not cameras_first):
             moving = {}
+            group = [name for name in nodes if is_camera(name) == cameras]
             for name, label in self.states(group, contact_s).items():
                 if label in STATES:
                     moving[name] = State(label)

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
 
@@ -24,7 +25,7 @@ from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, Role
 
 from . import ANSWER_S, LOOK_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import LifecycleClient, Outcome, State, groups_of, living_nodes, run_already
+from .lifecycle_client import LifecycleClient, Outcome, State, living_nodes, run_already
 from .processes import Child, ExitStatus, ProcessGroup, busy_machine, remove_abandoned_memory
 from .ros_link import RosLink, node_names
 
@@ -124,7 +125,7 @@ class Supervisor:
         with self._lock:
             self._halted.set()
         self.stop_outcome = self.suspend()
-        cleaned = self._bring(self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, ANSWER_S)
+        cleaned = self._bring(State.INACTIVE, State.UNCONFIGURED, cameras_first=True, timeout_s=ANSWER_S)
         self.stop_outcome.failures |= cleaned.failures
         self.exit_statuses = self.processes.stop()
         self._link.close()
@@ -138,13 +139,13 @@ class Supervisor:
         GraphError, too, before any is asked, when nodes of the same names have come meanwhile.
         """
         self._await_own_nodes()
-        outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
+        outcome = self._bring(State.UNCONFIGURED, State.INACTIVE, contact_s=START_TIMEOUT_S)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
         return outcome
 
     def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Start every configured node, the cameras last; GraphError as for :meth:`configure`."""
-        outcome = self._bring(self._in(State.INACTIVE), State.ACTIVE)
+        outcome = self._bring(State.INACTIVE, State.ACTIVE)
         self._check(State.ACTIVE, outcome, tolerate_cameras)
         with self._lock:
             self._running = True
@@ -157,7 +158,7 @@ class Supervisor:
     def suspend(self) -> Outcome:
         """Deactivate every active node, the cameras first; what dies from now on stays dead."""
         self._running = False
-        return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, ANSWER_S)
+        return self._bring(State.ACTIVE, State.INACTIVE, cameras_first=True, timeout_s=ANSWER_S)
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
@@ -221,14 +222,9 @@ class Supervisor:
 
     # lifecycle --------------------------------------------------------------------------------------------------------
 
-    def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
-        """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
-        return groups_of((name for name, now in self.states().items() if now == state), cameras_first)
-
-    def _bring(
-        self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
-    ) -> Outcome:
-        outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
+    def _bring(self, state: State, goal: State, **options: Any) -> Outcome:
+        """Bring the nodes that are in ``state`` to ``goal``; options as of `LifecycleClient.bring`."""
+        outcome = self.lifecycle.bring([name for name, now in self.states().items() if now == state], goal, **options)
         with self._lock:
             self._states |= outcome.reached
         return outcome

@@ -26,7 +26,7 @@ from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
-from .control import Control, Jobs, Work, on_click
+from .control import Control, Deliver, Jobs, Work, add_buttons
 from .scene import Figure
 
 VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
@@ -175,7 +175,6 @@ class Feed:
 
 
 COUNTDOWN_S = 10
-RECORD, FINISH, RESET, LEARN, CANCEL = "record", "finish recording", "reset", "learn background", "cancel"
 
 
 class GraphPanel:
@@ -184,8 +183,7 @@ class GraphPanel:
     def __init__(self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, live: LiveGraph, control: Control, jobs: Jobs):
         self._gui, self._live = gui, live
         with tabs.add_tab("Live"):
-            _recording_controls(gui, control, jobs)
-            _graph_buttons(gui, control, jobs)
+            _add_controls(gui, control, jobs)
             self.voxels = gui.add_checkbox("hull voxels", False)
             self._states = gui.add_html("")  # below: its length changes, and buttons must not move under the mouse
         with tabs.add_tab("Cameras"):
@@ -212,36 +210,32 @@ class GraphPanel:
             self._live.draw_pictures(self._gui, self._picture_folder)
 
 
-def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
-    """Connect, start, suspend, stop, reset, and the countdown to learn the background."""
-    transitions: dict[str, tuple[str, Work]] = {
-        "connect": ("connecting", partial(control.bring, State.INACTIVE, False)),
-        "start": ("starting", partial(control.bring, State.ACTIVE, False)),
-        "suspend": ("suspending", partial(control.bring, State.INACTIVE, True)),
-        "stop": ("stopping", partial(control.bring, State.UNCONFIGURED, True)),
-    }
-    nodes = gui.add_button_group("nodes", tuple(transitions))
-    on_click(nodes, lambda send: jobs.request(*transitions[nodes.value]))
-    people = gui.add_button_group("persons", (RESET,), hint="forget everybody, and look anew")
-    on_click(people, lambda send: jobs.request("resetting", control.reset))
-    seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
-    background = gui.add_button_group("background", (LEARN, CANCEL))
-    acts: dict[str, Callable[[], object]] = {
-        LEARN: lambda: jobs.request("learning", partial(control.learn_background, int(seconds.value))),
-        CANCEL: jobs.cancelled.set,
-    }
-    on_click(background, lambda send: acts[background.value]())
+def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
+    """Recording, lifecycle, reset, and the countdown to learn the background."""
 
+    def job(what: str, work: Work) -> Callable[[Deliver], object]:
+        return lambda send: jobs.request(what, work)
 
-def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
-    """A name, record, finish."""
     name = gui.add_text("name of the take", "", hint="by date and time without one")
-    recording = gui.add_button_group("recording", (RECORD, FINISH))
-    acts: dict[str, Callable[[], object]] = {
-        RECORD: lambda: jobs.request("recording", partial(control.start_recording, name.value)),
-        FINISH: lambda: jobs.request("finishing", control.stop_recording),
+    recording = {
+        "record": job("recording", lambda: control.start_recording(name.value)),
+        "finish recording": job("finishing", control.stop_recording),
     }
-    on_click(recording, lambda send: acts[recording.value]())
+    add_buttons(gui, "recording", recording)
+    nodes = {
+        "connect": job("connecting", lambda: control.bring(State.INACTIVE)),
+        "start": job("starting", lambda: control.bring(State.ACTIVE)),
+        "suspend": job("suspending", lambda: control.bring(State.INACTIVE, cameras_first=True)),
+        "stop": job("stopping", lambda: control.bring(State.UNCONFIGURED, cameras_first=True)),
+    }
+    add_buttons(gui, "nodes", nodes)
+    add_buttons(gui, "persons", {"reset": job("resetting", control.reset)}, hint="forget everybody, and look anew")
+    seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
+    background: dict[str, Callable[[Deliver], object]] = {
+        "learn background": job("learning", lambda: control.learn_background(int(seconds.value))),
+        "cancel": lambda send: jobs.cancelled.set(),
+    }
+    add_buttons(gui, "background", background)
 
 
 # states as HTML -------------------------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ class Page:
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
-        work = TakeActions(takes, lambda: control.recording if control is not None else "")
+        work = TakeActions(takes, self._jobs, lambda: control.recording if control is not None else "")
         leave = self.show_live if live is not None else None
         self._take_panel = TakesPanel(gui, tabs, work, self._jobs, self.play, leave)
         self.server.on_client_connect(lambda client: self._watched.set())
@@ -68,7 +68,7 @@ class Page:
     def play(self, name: str) -> None:
         """Play a take of the folder, or say why it cannot be."""
 
-        def work(tell: object) -> str:
+        def work() -> str:
             self._show(Playback.of(self._takes.find(name)))
             return f"playing {name}"
 
@@ -131,8 +131,8 @@ class Page:
         due = [what for what, at_s in next_at.items() if now_s >= at_s]
         next_at.update({what: now_s + EVERY_S[what] for what in due})
         self._draw_people(now_s)
-        if TAKES in due or self._take_panel.stale.is_set():
-            self._take_panel.stale.clear()
+        if TAKES in due or self._jobs.ended.is_set():
+            self._jobs.ended.clear()
             self._take_panel.show_takes(self._takes.takes())
         if STATES in due:
             self._draw_states()
