@@ -1,7 +1,5 @@
 """The subcommands that need no camera: start, suspend, stop, compare, recover, and what they refuse."""
 
-from pathlib import Path
-
 import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
@@ -36,19 +34,13 @@ def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_other
     assert "failed: /cam02/camera_client: configure did not answer" in said
 
 
-def test_start_with_a_rig_waits_for_its_nodes_and_starts_nothing_of_half_a_graph(supervise, capsys):
-    supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
-    rig = Path(__file__).resolve().parents[3] / "config" / "rig" / "ring4.yaml"
-    assert main(["start", "--rig", str(rig), "--wait", "3"]) == 2
-    said = capsys.readouterr()
-    absent = said.err.partition("expected 7: ")[2].partition(" not there")[0].split(", ")
-    assert {"/cam03/camera_client", "/cam04/camera_client", "/ekf_tracker", "/icp_tracker"} <= {*absent}
-    assert not said.out
-
-
-def test_start_without_any_node_is_an_input_error(capsys):
+def test_start_of_half_a_graph_is_an_input_error_and_starts_nothing(supervise, capsys):
     assert main(["start", "--wait", "0.3"]) == 2
     assert "found 0 nodes of ours, expected 1" in capsys.readouterr().err
+    run = supervise(tiny("hull_server"))
+    assert main(["start", "--expect", "7", "--wait", "3"]) == 2
+    assert "found 1 nodes of ours (/hull_server), expected 7" in capsys.readouterr().err
+    assert run.lifecycle.states(["/hull_server"]) == {"/hull_server": "unconfigured"}
 
 
 def joint_states(bag, angles):

@@ -20,7 +20,6 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
-from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from sagoma_bringup.launch_arguments import RESTART_DELAY_S
 from virtual_studio.gige import __main__ as studio
 
@@ -73,7 +72,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     for verb, (goal, cameras_first, help_text) in VERBS.items():
         parser = subparsers.add_parser(verb, help=help_text)
         parser.add_argument("--expect", type=NODES, default=1, help="wait until so many sagoma nodes are found")
-        parser.add_argument("--rig", help="rig YAML: wait for the server and for the client of each of its cameras")
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         add_namespace_argument(parser)
@@ -173,19 +171,9 @@ def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
 
 def change_state(args: argparse.Namespace) -> int:
     """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
-    namespace = namespace_argument(args)
-    with RosLink("sagoma_control", namespace=namespace) as link:
+    with RosLink("sagoma_control", namespace=namespace_argument(args)) as link:
         doing("looking for nodes")
-        names = (*SERVER_NODES, *(f"{camera}/{CAMERA_NODE}" for camera in load_rig(args.rig).names)) if args.rig else ()
-        awaited = frozenset(f"{namespace}/{name}" for name in names)
-        found = find_nodes(
-            lambda: our_nodes(link.node) & (awaited or our_nodes(link.node)),
-            "nodes of ours",
-            len(awaited) or args.expect,
-            args.wait,
-            awaited,
-        )
-        found = sorted(our_nodes(link.node).union(found))
+        found = find_nodes(lambda: our_nodes(link.node), "nodes of ours", args.expect, args.wait)
         doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
         outcome = client.bring(found, args.goal, args.cameras_first, args.timeout)

@@ -105,17 +105,15 @@ def train_backgrounds(
     requests = {f"{name}/{SERVICE}": Trigger.Request() for name in names}
     replies = call_all(node, Trigger, requests, timeout_s, lambda service: wanted(), inferred=inferred)
     answers = {name: replies[f"{name}/{SERVICE}"] for name in names}
-
-    def outcome(name: str) -> TrainingOutcome:
-        answer, report = answers[name], new_report(name)
-        said = silence if answer is None else answer.message
-        its_own = answer is not None and report is not None and report.text == answer.message
-        return TrainingOutcome(label_of(name), said, report if its_own else None)
-
+    answered = [name for name, answer in answers.items() if answer is not None]
+    diagnostics.wait_until(lambda: all(map(new_report, answered)), ANSWER_S)
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
-    answered = [name for name in names if answers[name] is not None]
-    diagnostics.wait_until(lambda: all(outcome(name).report is not None for name in answered), ANSWER_S)
-    return list(map(outcome, names))
+    return [
+        TrainingOutcome(label_of(name), silence, None)
+        if answer is None
+        else TrainingOutcome(label_of(name), answer.message, new_report(name))
+        for name, answer in answers.items()
+    ]
 
 
 def learn_backgrounds(supervisor: Supervisor) -> dict[str, str]:

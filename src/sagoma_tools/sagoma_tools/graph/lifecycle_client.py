@@ -161,9 +161,3 @@ def living_nodes(node: Node, names: Collection[str], cancel: threading.Event) ->
             break
         cancel.wait(LOOK_S)
     return sorted(found)
-
-
-def run_already(names: Iterable[str]) -> str:
-    """Say which nodes run already, and what to do about it."""
-    remedy = "End that graph, or give this one another ROS_DOMAIN_ID (or, launched, a namespace:=NAME)"
-    return f"{', '.join(names)} run already in this ROS domain. {remedy}."

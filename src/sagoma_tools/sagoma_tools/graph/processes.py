@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import os
 import signal
 import subprocess
@@ -21,13 +20,10 @@ import psutil
 from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import NodeSpec, ProcessSpec, processes_of
 
-from . import ROUND_S
-
 GRACE_S, REAP_S = 8.0, 5.0  # to end after SIGINT, and after SIGKILL
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
-SHARED_MEMORY = Path("/dev/shm")
 PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None)
 
@@ -106,7 +102,8 @@ class Child:
         return not self._ended.is_set()
 
     @property
-    def returncode(self) -> int | None:
+    def returncode(self) -> int:
+        """Once it has ended."""
         return self._process.returncode
 
     def log_tail(self, lines: int = 15) -> str:
@@ -163,8 +160,7 @@ def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus
             child.kill()
         elif not found[child] and child.returncode not in (0, -signal.SIGINT):
             found[child] = FAILED
-    codes = {child: -signal.SIGKILL if child.returncode is None else child.returncode for child in children}
-    return tuple(ExitStatus(child.name, how, codes[child]) for child, how in found.items())
+    return tuple(ExitStatus(child.name, how, child.returncode) for child, how in found.items())
 
 
 def busy_machine() -> str:
@@ -172,22 +168,6 @@ def busy_machine() -> str:
     load, processors = os.getloadavg()[0], os.cpu_count() or 1
     busy = f"the machine is busy (load {load:.1f} on {processors} processors): end other programs and try again"
     return busy if load > processors else ""
-
-
-def remove_abandoned_memory() -> None:
-    """Delete Fast DDS's segments in /dev/shm whose owner has died: megabytes with each crash.
-
-    Their owner holds a lock on a file beside the segment. Ports, which are small and shared by all domains, stay: to
-    delete one that another process takes at this moment makes that process deaf to the names of nodes.
-    """
-    for lock in SHARED_MEMORY.glob("fastrtps_*_el"):
-        with contextlib.suppress(OSError):  # its owner lives, or it is not ours
-            if lock.name.startswith("fastrtps_port") or time.time() - lock.stat().st_mtime < ROUND_S:
-                continue  # one this young may not have its owner's lock yet
-            with lock.open("rb") as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
-                lock.unlink()
 
 
 class ProcessGroup:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,14 +19,13 @@ from typing import Any
 
 from rclpy.node import Node
 
-from capture_rig.errors import InputError
 from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, Role
 
-from . import ANSWER_S, LOOK_S, ROUND_S, START_TIMEOUT_S, GraphError
+from . import ANSWER_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import LifecycleClient, Outcome, State, living_nodes, run_already
-from .processes import Child, ExitStatus, ProcessGroup, busy_machine, remove_abandoned_memory
-from .ros_link import RosLink, node_names
+from .lifecycle_client import LifecycleClient, Outcome, State, living_nodes
+from .processes import Child, ExitStatus, ProcessGroup, busy_machine
+from .ros_link import RosLink
 
 RESTARTING, DEAD = "restarting", "dead"
 TRACKER = "icp_tracker"
@@ -109,7 +107,8 @@ class Supervisor:
         try:
             names = {spec.full_name for spec in self.graph}
             if running := living_nodes(self.node, names, self._cancel):
-                raise GraphError(run_already(running))
+                remedy = "End that graph, or give this one another ROS_DOMAIN_ID (or, launched, a namespace:=NAME)"
+                raise GraphError(f"{', '.join(running)} run already in this ROS domain. {remedy}.")
             self.processes.start_all()
         except BaseException:
             self.stop()
@@ -130,15 +129,10 @@ class Supervisor:
         self.exit_statuses = self.processes.stop()
         self._link.close()
         self._link = None
-        remove_abandoned_memory()
         return self.exit_statuses
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
-        """Connect every node. Raises GraphError when one of the server fails, or every camera (any, if not tolerated).
-
-        GraphError, too, before any is asked, when nodes of the same names have come meanwhile.
-        """
-        self._await_own_nodes()
+        """Connect every node. GraphError when one of the server's fails, or every camera (any, if not tolerated)."""
         outcome = self._bring(State.UNCONFIGURED, State.INACTIVE, contact_s=START_TIMEOUT_S)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
         return outcome
@@ -175,50 +169,31 @@ class Supervisor:
     # crashes ----------------------------------------------------------------------------------------------------------
 
     def _on_exit(self, process: ProcessSpec, child: Child) -> None:
-        """Report a process that has ended by itself and start it again, on the thread that watched it."""
+        """Report a process that has ended by itself and start it again, on the thread that watched it: unless somebody
+        asked it to end, or it reads footage, in which its place is lost."""
         exited_s, names = time.monotonic(), [node.full_name for node in process.nodes]
         with self._lock:
-            why_not = self._why_no_restart(process, child)
-            delay_s = None if why_not else self._restart_delay_s
+            delay_s = self._restart_delay_s if self._running and not self._halted.is_set() else None
+            if child.returncode == 0 or any(map(reads_file, process.nodes)):
+                delay_s = None
             self._states |= dict.fromkeys(names, DEAD if delay_s is None else RESTARTING)
-        next_step = f"no restart: {why_not}" if delay_s is None else f"restart in {delay_s:g} s"
+        next_step = "no restart" if delay_s is None else f"restart in {delay_s:g} s"
         text = f"{process} (pid {child.pid}) died: {reason_of(child.returncode)}; {next_step}"
         self._on_event(ProcessEvent(process, child.pid, text, False, f"the end of {child.log}:\n{child.log_tail()}"))
         if delay_s is None or self._halted.wait(delay_s):
             return
-        again = self._start_again(process)
-        while again is not None and again.alive and not self._halted.wait(ROUND_S):
+        with self._lock:
+            if self._halted.is_set():
+                return
+            again = self.processes.start(restarted(process))
+            self._states |= dict.fromkeys(names, State.UNCONFIGURED)
+        while again.alive and not self._halted.wait(ROUND_S):
             if set(self.lifecycle.states(names, ROUND_S).values()) == {State.ACTIVE}:
                 with self._lock:
                     self._states |= dict.fromkeys(names, State.ACTIVE)
                 text = f"{process} active again after {time.monotonic() - exited_s:.1f} s (pid {again.pid})"
                 self._on_event(ProcessEvent(process, again.pid, text, True))
                 return
-
-    def _why_no_restart(self, process: ProcessSpec, child: Child) -> str:
-        """Say why a process that has ended is not started again; empty when it is."""
-        if self._restart_delay_s is None:
-            return "nobody asked for restarts"
-        if not self._running or self._halted.is_set():
-            return "the graph is not active"
-        if child.returncode == 0:
-            return "somebody asked it to end"
-        return "it reads footage, and its place in it is lost" if any(map(reads_file, process.nodes)) else ""
-
-    def _start_again(self, process: ProcessSpec) -> Child | None:
-        """Start a process whose nodes become active by themselves; None when the graph is stopped meanwhile."""
-        remove_abandoned_memory()
-        while True:
-            with self._lock:
-                if self._halted.is_set():
-                    return None
-                try:
-                    child = self.processes.start(restarted(process))
-                    self._states |= {node.full_name: State.UNCONFIGURED for node in process.nodes}
-                    return child
-                except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
-                    pass
-            self._halted.wait(self._restart_delay_s)
 
     # lifecycle --------------------------------------------------------------------------------------------------------
 
@@ -228,17 +203,6 @@ class Supervisor:
         with self._lock:
             self._states |= outcome.reached
         return outcome
-
-    def _await_own_nodes(self) -> None:
-        """Wait until the nodes of every living process are known. GraphError for a name that others have, too."""
-        deadline_s = time.monotonic() + START_TIMEOUT_S
-        while time.monotonic() < deadline_s:
-            known, ours = Counter(node_names(self.node)), self.processes.pids()
-            if twice := [name for name in ours if known[name] > 1]:
-                raise GraphError(run_already(twice))
-            if not any(self._should_wait_for(name) for name in ours if not known[name]):
-                return
-            self._cancel.wait(LOOK_S)
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
@@ -276,12 +240,12 @@ class ProcessEvent:
     log_tail: str = ""
 
 
-def reason_of(returncode: int | None) -> str:
+def reason_of(returncode: int) -> str:
     """Return exit status or signal, and what it mostly means."""
-    if returncode is None or returncode >= 0:
+    if returncode >= 0:
         return f"exit status {returncode}"
-    known = {number.value: f"{number.name}{LIKELY.get(number, '')}" for number in signal.Signals}
-    return f"killed by {known.get(-returncode, f'signal {-returncode}')}"
+    number = signal.Signals(-returncode)
+    return f"killed by {number.name}{LIKELY.get(number, '')}"
 
 
 def with_kept_backgrounds(graph: Sequence[NodeSpec], folder: Path) -> tuple[NodeSpec, ...]:
