@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,7 +20,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 
 from capture_rig.errors import InputError
@@ -338,11 +338,6 @@ def _learn(msgtype: str) -> None:
     text = (get_package_share_path(package) / folder / f"{name}.msg").read_text()
     types = get_types_from_msg(text, msgtype)
     TYPES.register(types)
-    for _, fields in types.values():
-        for _, described in fields:
-            kind: Any = described
-            while kind[0] not in (Nodetype.BASE, Nodetype.NAME):  # of an array, what it is of
-                kind = kind[1][0]
-            node, inner = kind
-            if node is Nodetype.NAME and str(inner) not in TYPES.fielddefs:
-                _learn(str(inner))
+    for inner in re.findall(r"\w+/msg/\w+", str(types)):
+        if inner not in TYPES.fielddefs:
+            _learn(inner)

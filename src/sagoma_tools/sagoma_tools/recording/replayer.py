@@ -177,26 +177,22 @@ def play_timed(
 class LockstepReport:
     """The result of a lockstep replay.
 
-    sets : frame sets published; unanswered_ns : stamps of those that the EKF never answered; stray_answers : answers
-    to sets that were not sent; unrecorded : topics with one message a set that lack some in the recording.
+    sets : frame sets published; unanswered_ns : stamps of those that the EKF never answered; unrecorded : topics with
+    one message a set that lack some in the recording.
     """
 
     sets: int = 0
     unanswered_ns: list[int] = field(default_factory=list)
-    stray_answers: int = 0
     last_stamp_ns: int = -1
     unrecorded: dict[str, int] = field(default_factory=dict)
 
 
 class Answers:
-    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp.
-
-    stamps : of the sets that were answered.
-    """
+    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp."""
 
     def __init__(self, node: Node) -> None:
         self._arrived = threading.Condition()
-        self.stamps: set[int] = set()
+        self._stamps: set[int] = set()
         self._subscription = node.create_subscription(
             MultiDOFJointState, PREDICTION_TOPIC, self._on_answer, LOSSLESS, raw=True
         )
@@ -204,11 +200,11 @@ class Answers:
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""
         with self._arrived:
-            return self._arrived.wait_for(lambda: stamp_ns in self.stamps, timeout_s)
+            return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
 
     def _on_answer(self, data: bytes) -> None:
         with self._arrived:
-            self.stamps.add(header_stamp_ns(data))
+            self._stamps.add(header_stamp_ns(data))
             self._arrived.notify_all()
 
 
@@ -226,7 +222,7 @@ def play_lockstep(
     A set that is not answered within ``timeout_s`` is noted and the next one follows; InputError when the very first
     one is not, since then the graph does not run or is not connected. ``cancel`` ends it between two sets.
     """
-    report, sent = LockstepReport(), set[int]()
+    report = LockstepReport()
     for frame_set in frame_sets:
         if cancel is not None and cancel.is_set():
             break
@@ -234,7 +230,6 @@ def play_lockstep(
             for message in frame:
                 publishers.publish(message)
         publishers.publish_absences(frame_set)
-        sent.add(frame_set.stamp_ns)
         report.sets += 1
         report.last_stamp_ns = frame_set.stamp_ns
         progress(report.sets)
@@ -244,7 +239,6 @@ def play_lockstep(
                 what = f"no answer to the first frame set within {timeout_s:g} s"
                 remedy = "All of hull_server, icp_tracker and ekf_tracker must be active."
                 raise InputError(what, where=PREDICTION_TOPIC, remedy=remedy)
-    report.stray_answers = len(answers.stamps - sent)
     return report
 
 
