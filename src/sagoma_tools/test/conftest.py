@@ -1,6 +1,5 @@
 import os
 import shutil
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -48,12 +47,6 @@ def somebody_is_found(monkeypatch):
     monkeypatch.setattr(
         "sagoma_tools.graph.lifecycle_client.settled", lambda look, expect, wait_s: settled(look, 1, 60.0)
     )
-
-
-@pytest.fixture(autouse=True)
-def _commands_take_no_time(monkeypatch):
-    """No command logs its progress, however busy the machine: what stands on stderr is what was wrong."""
-    monkeypatch.setattr("sagoma_tools.console.LOG_EVERY_S", threading.TIMEOUT_MAX)
 
 
 @pytest.fixture(scope="session")

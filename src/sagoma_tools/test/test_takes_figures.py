@@ -42,7 +42,7 @@ def test_figures_are_those_of_the_messages(takes):
 
 def test_a_summary_is_read_back_as_it_was_written(takes):
     stored = read_summary(takes.path / "walk")
-    assert stored == measure(takes.path / "walk") and stored.same_figures(measure(takes.path / "walk"))
+    assert stored == measure(takes.path / "walk")
     for broken in ({}, {"format": 1}, {**stored.document(), "cameras": 3}, {**stored.document(), "quality": {}}):
         with pytest.raises(InputError, match=r"take\.yaml"):
             Summary.parse(broken, "take.yaml")

@@ -123,7 +123,10 @@ class TakesFolder:
         """Remove what is in the bin for good; returns it."""
         found = self.deleted()
         for deleted in found:
-            remove_folder(deleted.path)
+            if deleted.path.is_symlink():
+                deleted.path.unlink()  # not what it leads to
+            else:
+                shutil.rmtree(deleted.path)
         return found
 
     def _settled(self, name: str) -> Take:
@@ -155,14 +158,11 @@ def describe(path: Path) -> Take:
             if reader.message_count:
                 take = replace(take, began_ns=reader.start_time, seconds=reader.duration / 1e9)
         provenance = read_provenance(path)
-        software = provenance.get("software")
-        recorded_by = str(software.get("sagoma", "")) if isinstance(software, dict) else ""
-        trimmed = provenance.get("trimmed_from")
         return replace(
             take,
             topics=topics,
-            software=recorded_by,
-            trimmed_from=trimmed if isinstance(trimmed, dict) else None,
+            software=str(provenance.get("software", {}).get("sagoma", "")),
+            trimmed_from=provenance.get("trimmed_from"),
             summary=read_summary(path),
         )
     except Exception as error:  # a broken file may break its reader in any way, and one take must not hide the others
@@ -176,14 +176,6 @@ def move_new(source: Path, target: Path) -> None:
     if os.path.lexists(target):
         raise InputError(f"there is a take '{target.name}' already", where=str(target.parent), remedy="Name it anew.")
     source.rename(target)
-
-
-def remove_folder(path: Path) -> None:
-    """Remove a folder with all in it; of a link, the link alone."""
-    if path.is_symlink() or path.is_file():
-        path.unlink()
-    else:
-        shutil.rmtree(path)
 
 
 def _is_bag(path: Path) -> bool:
