@@ -89,7 +89,6 @@ def test_recover_says_what_is_there_instead_of_a_damaged_bag(tmp_path, capsys):
         ("replay BAG --graph --output out", "with --lockstep"),
         ("replay BAG --lockstep --clock 100", "keeps no time"),
         ("replay BAG --lockstep --loop", "keeps no time"),
-        ("record BAG --all --topics /tf", "contradict"),
     ],
 )
 def test_arguments_that_mean_nothing_are_refused(arguments, message, tmp_path, capsys):

@@ -5,22 +5,18 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_path
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rosbags.typesys import get_types_from_msg
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
@@ -29,7 +25,6 @@ from ..graph import ANSWER_S, PATIENCE_S
 from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, topics_of
 from ..graph.topics import (
     DIAGNOSTICS,
-    FIRST_BODY_ID,
     OUTPUT_TOPICS,
     Topic,
     camera_topics,
@@ -40,7 +35,7 @@ from ..graph.topics import (
     persons_in,
     topics_of_others,
 )
-from .reader import TYPES, canonical_bytes, header_stamp_ns
+from .reader import header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
@@ -51,9 +46,6 @@ class Recorder:
     """Records topics into one bag from construction to :meth:`close`; ``node`` must be spun by another thread.
 
     Topics are those of the node's namespace; the bag names them as they are without one.
-
-    canonical : write undefined bytes between fields as zero, so that equal messages are equal bytes in the bag; costs
-    some 0.05 ms a message (2 ms for markers), so it is for lockstep, not for live recordings.
     """
 
     def __init__(
@@ -62,11 +54,10 @@ class Recorder:
         folder: str | Path,
         topics: Iterable[Topic],
         *,
-        canonical: bool = False,
         on_failure: Callable[[InputError], object] = lambda error: None,
     ) -> None:
         """``on_failure`` is called once, when the disk is full or fails: by then nothing more is recorded."""
-        self._node, self._canonical = node, canonical
+        self._node = node
         self._writer, self.folder = BagWriter(folder), Path(folder)
         self._arrived = threading.Condition()
         self._last_stamp_ns: dict[str, int] = {}
@@ -101,13 +92,14 @@ class Recorder:
             event_callbacks=SubscriptionEventCallbacks(matched=partial(self._on_match, topic.name)),
         )
 
-    def follow(self, appeared: Callable[[], Iterable[Topic]] | None = None) -> None:
-        """Look every SETTLE_S for topics to record too: those that ``appeared`` returns, by default those of cameras
-        that publish silhouettes, and of persons."""
+    def follow(self) -> None:
+        """Look every SETTLE_S for cameras that publish silhouettes, and for persons, and record them too."""
 
         def add_all() -> None:
-            for topic in (appeared or self._newcomers)():
-                self.add(topic)
+            names = topics_of(self._node)
+            for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, persons_in(names))):
+                for topic in topics:
+                    self.add(topic)
 
         add_all()
         self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -173,9 +165,8 @@ class Recorder:
             if not self._open or self.failure is not None:
                 return
             self._announce(topic)
-            written = canonical_bytes(data, topic.msgtype) if self._canonical else data
             try:
-                self._writer.write(topic.name, now_ns, written)
+                self._writer.write(topic.name, now_ns, data)
             except InputError as error:
                 self.failure = error
             if stamped and len(data) >= STAMPED_BYTES:
@@ -191,14 +182,6 @@ class Recorder:
 
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
-
-    def _newcomers(self) -> Iterator[Topic]:
-        names = topics_of(self._node)
-        for camera in cameras_in(names):
-            yield from camera_topics(camera)
-        for body_id in persons_in(names):
-            if body_id != FIRST_BODY_ID:
-                yield from person_topics(body_id)
 
 
 def has_header(msgtype: str) -> bool:
@@ -281,63 +264,3 @@ def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> di
 def _plain(value: Any) -> Any:
     found = parameter_value_to_python(value)
     return found if found is None or isinstance(found, bool | int | float | str) else list(found)
-
-
-# topics that a user asks for by name ----------------------------------------------------------------------------------
-
-
-def matches_any(names: Iterable[str]) -> Callable[[str], bool]:
-    """Return whether a topic is one of ``names``, or below one: ``/humans`` are all that begin with ``/humans/``."""
-    wanted = tuple("/" + name.strip("/") for name in names)
-    return lambda topic: any(topic == name or topic.startswith(f"{name}/") for name in wanted)
-
-
-def asked_topics(
-    node: Node, wanted: Callable[[str], bool], on_unknown: Callable[[str, str], None]
-) -> Callable[[], list[Topic]]:
-    """Return a function that returns the wanted topics that have appeared in the graph since its last call.
-
-    ``on_unknown(topic, type)`` is called once for each that cannot be recorded: its type is not installed here.
-    """
-    seen = set[str]()
-
-    def new() -> list[Topic]:
-        found = []
-        for name, msgtype in topics_of(node).items():
-            if name in seen or not wanted(name):
-                continue
-            offered = [info.qos_profile for info in node.get_publishers_info_by_topic(in_graph(node, name))]
-            if not offered:  # nobody publishes it yet, so nobody says how
-                continue
-            seen.add(name)
-            if not is_known(msgtype):
-                on_unknown(name, msgtype)
-                continue
-            kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-            unreliable = any(qos.reliability == ReliabilityPolicy.BEST_EFFORT for qos in offered)
-            found.append(Topic(name, msgtype, repeatable=False, latched=kept, best_effort=unreliable))
-        return found
-
-    return new
-
-
-def is_known(msgtype: str) -> bool:
-    """Return whether messages of a type can be received and written here; learns its definition where installed."""
-    try:
-        message_class(msgtype)
-        if msgtype not in TYPES.fielddefs:
-            _learn(msgtype)
-    except (ImportError, AttributeError, ValueError, PackageNotFoundError, OSError):
-        return False
-    return True
-
-
-def _learn(msgtype: str) -> None:
-    """Add a type's definition, and those that it holds, from the package where it is installed."""
-    package, folder, name = msgtype.split("/")
-    text = (get_package_share_path(package) / folder / f"{name}.msg").read_text()
-    types = get_types_from_msg(text, msgtype)
-    TYPES.register(types)
-    for inner in re.findall(r"\w+/msg/\w+", str(types)):
-        if inner not in TYPES.fielddefs:
-            _learn(inner)

@@ -281,7 +281,7 @@ def replay_through_graph(
         supervisor.configure()
         with (
             GraphRecorder(
-                graph, output, topics=server_topics(graph), domain_id=domain_id, provenance=made_from, canonical=True
+                graph, output, topics=server_topics(graph), domain_id=domain_id, provenance=made_from
             ) as recorder,
             RosLink("sagoma_replayer", domain_id=domain_id) as link,
         ):
