@@ -116,13 +116,12 @@ def add_takes_argument(parser: argparse.ArgumentParser) -> None:
 def chosen_take(given: str, folder: str) -> tuple[TakesFolder, str]:
     """Return the folder and name of a take that is given by its name in the folder of takes, or by its path."""
     path = Path(given)
-    if not (path.name == given and (Path(folder) / path).exists()) and path.exists():
-        return TakesFolder(path.resolve().parent), path.resolve().name
-    return TakesFolder(Path(folder)), given
+    if path.name == given and ((Path(folder) / path).exists() or not path.exists()):
+        return TakesFolder(Path(folder)), given
+    return TakesFolder(path.resolve().parent), path.resolve().name
 
 
 def bag_of(given: str, folder: str) -> Path:
     """Return the bag of a take that is given by its name, or by its path: a folder, or a single file."""
-    path = Path(given)
-    named = Path(folder) / path
-    return named if path.name == given and not path.exists() and named.exists() else path
+    named = Path(folder) / given
+    return named if Path(given).name == given and named.exists() else Path(given)

@@ -35,11 +35,10 @@ def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_other
 
 
 def test_start_of_half_a_graph_is_an_input_error_and_starts_nothing(supervise, capsys):
-    assert main(["start", "--wait", "0.3"]) == 2
-    assert "found 0 nodes of ours, expected 1" in capsys.readouterr().err
     run = supervise(tiny("hull_server"))
     assert main(["start", "--expect", "7", "--wait", "3"]) == 2
-    assert "found 1 nodes of ours (/hull_server), expected 7" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "/hull_server" in said and "expected 7" in said
     assert run.lifecycle.states(["/hull_server"]) == {"/hull_server": "unconfigured"}
 
 

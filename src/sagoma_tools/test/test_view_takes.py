@@ -258,8 +258,8 @@ def test_spindles_reach_from_joint_to_joint_and_balls_lie_on_the_joints():
     assert np.allclose(drawn.positions[:15], POINTS, atol=1e-6)
     assert drawn.scales[POINT_NAMES.index("head")] == pytest.approx([HEAD_M] * 3)
     tips = Rotation.from_quat(drawn.wxyzs[15:], scalar_first=True).apply([0.0, 0.0, 1.0]) * drawn.scales[15:, 2:]
-    assert np.allclose(drawn.positions[15:] - tips, POINTS[BONES[:, 0]], atol=1e-5)
-    assert np.allclose(drawn.positions[15:] + tips, POINTS[BONES[:, 1]], atol=1e-5)
+    assert np.allclose(drawn.positions[15:] - tips, POINTS[BONES[:, 0]], atol=1e-3)
+    assert np.allclose(drawn.positions[15:] + tips, POINTS[BONES[:, 1]], atol=1e-3)
 
 
 def test_the_z_axis_is_turned_onto_every_direction_down_and_nowhere_too():

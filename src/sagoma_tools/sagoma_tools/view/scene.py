@@ -124,8 +124,6 @@ COLOUR_STEPS = 16
 """Shades between sure and unsure: fewer than the eye tells apart side by side, so that colours are seldom sent."""
 JOINT_M, HEAD_M, BONE_M = 0.038, 0.085, 0.028
 """Radii of the balls and of a spindle's waist: a wrist's and a skull's, and thinner than any limb."""
-SCALE_STEP_M = 0.002
-"""Bones are sent anew when one has become longer or shorter by so much: less than anybody sees."""
 SPHERE_POINTS = 110
 """Few enough for a browser without a GPU."""
 RADII = np.where(np.array(POINT_NAMES) == "head", HEAD_M, JOINT_M)
@@ -151,7 +149,7 @@ class Instances:
 
 
 class DrawnPerson:
-    """One person in a viser scene, sent once and then moved."""
+    """One person in a viser scene, sent once and then moved; viser sends what has changed."""
 
     def __init__(self, scene: viser.SceneApi, body_id: str, figure: Figure) -> None:
         instances = instances_of(figure)
@@ -167,28 +165,19 @@ class DrawnPerson:
             receive_shadow=False,
         )
         self._label = scene.add_label(f"/names/{body_id}", body_id, anchor="bottom-center")
-        self._sent = instances
-        self._move_label(figure)
+        self.move(figure)
 
     def move(self, figure: Figure) -> None:
-        """Send what has changed."""
+        """Draw the person there."""
         instances, mesh = instances_of(figure), self._mesh
         mesh.batched_positions, mesh.batched_wxyzs = instances.positions, instances.wxyzs
-        scales, colours = self._sent.scales, self._sent.colours
-        if np.abs(instances.scales - scales).max() > SCALE_STEP_M:
-            mesh.batched_scales = scales = instances.scales
-        if not np.array_equal(instances.colours, colours):
-            mesh.batched_colors = colours = instances.colours
-        self._sent = Instances(instances.positions, instances.wxyzs, scales, colours)
-        self._move_label(figure)
+        mesh.batched_scales, mesh.batched_colors = instances.scales, instances.colours
+        self._label.position = figure.points_world[POINT_NAMES.index("head")] + NAME_ABOVE
 
     def remove(self) -> None:
         """Take the person out of the scene."""
         self._mesh.remove()
         self._label.remove()
-
-    def _move_label(self, figure: Figure) -> None:
-        self._label.position = figure.points_world[POINT_NAMES.index("head")] + NAME_ABOVE
 
 
 def instances_of(figure: Figure) -> Instances:
@@ -196,7 +185,7 @@ def instances_of(figure: Figure) -> Instances:
     points, colours = figure.points_world, confidence_colours(figure)
     begins, ends = points[BONES[:, 0]], points[BONES[:, 1]]
     along = ends - begins
-    length = np.linalg.norm(along, axis=1)
+    length = np.linalg.norm(along, axis=1).round(3)  # to the mm: what has not changed is not sent
     waist = np.full(len(BONES), BONE_M)
     scales = np.concatenate([np.repeat(RADII[:, None], 3, 1), np.column_stack([waist, waist, 0.5 * length])])
     turns = np.concatenate([np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)), rotations_of_z_onto(along)])
