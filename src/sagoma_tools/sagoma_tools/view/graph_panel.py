@@ -76,26 +76,17 @@ class LiveGraph:
         wanted += [(topic, PICTURE_TYPE) for topic in self._cameras.values()] if pictures else []
         self._feed.watch(wanted)
 
-    def new_figures(self) -> dict[str, Figure] | None:
-        """Return everybody of whom something has come within a round, by id; None when nothing has changed."""
-        now_s, changed = time.monotonic(), False
+    def figures(self) -> dict[str, Figure]:
+        """Return everybody of whom something has come within a round, by id."""
+        now_s = time.monotonic()
         for body_id, prefix in self._bodies.items():
-            state = self._feed.pop_newest(f"{prefix}/state")
-            if state is not None:
+            if (state := self._feed.pop_newest(f"{prefix}/state")) is not None:
                 self._states[body_id] = state.message
-            cloud = self._feed.pop_newest(f"{prefix}/reference_points")
-            if cloud is None:
-                continue
-            points = read_reference_points(cloud, f"{prefix}/reference_points")
-            sigma = point_deviations(points.covariance)
-            self._figures[body_id] = now_s, Figure(points.points_world, sigma, self._states.get(body_id, ""))
-            changed = True
-        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > ROUND_S]
-        for body_id in gone:
-            del self._figures[body_id]
-        if not (changed or gone):
-            return None
-        return {body_id: figure for body_id, (_, figure) in self._figures.items()}
+            if (cloud := self._feed.pop_newest(f"{prefix}/reference_points")) is not None:
+                points = read_reference_points(cloud, f"{prefix}/reference_points")
+                sigma_m = point_deviations(points.covariance)
+                self._figures[body_id] = now_s, Figure(points.points_world, sigma_m, self._states.get(body_id, ""))
+        return {body_id: figure for body_id, (seen_s, figure) in self._figures.items() if now_s - seen_s < ROUND_S}
 
     def new_voxels(self) -> np.ndarray | None:
         """Return the hull's voxels (m, 3), when there are newer ones."""
@@ -195,9 +186,7 @@ class GraphPanel:
     def show_states(self) -> dict[str, str]:
         """Say how every node is; returns the cameras in trouble, and what it is."""
         now_s, reports = time.monotonic(), self._live.reports()
-        content = states_html(reports, now_s)
-        if content != self._states.content:
-            self._states.content = content
+        self._states.content = states_html(reports, now_s)
         return {
             label_of(name): trouble
             for name, report in reports.items()

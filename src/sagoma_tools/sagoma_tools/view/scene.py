@@ -74,10 +74,8 @@ class RoomScene:
     def mark_cameras(self, troubles: Mapping[str, str]) -> None:
         """Draw cameras in trouble red, with the trouble beside their name; all others as ever."""
         for name, (frustum, label) in self._cameras.items():
-            text = f"{name}: {troubles[name]}" if name in troubles else name
-            if label.text != text:
-                label.text = text
-                frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
+            label.text = f"{name}: {troubles[name]}" if name in troubles else name
+            frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
 
     def show(self, figures: Mapping[str, Figure]) -> None:
         """Draw these persons, by id, and nobody else; views look at them once somebody is tracked."""

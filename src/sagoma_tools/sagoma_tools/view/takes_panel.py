@@ -54,7 +54,6 @@ class Playback:
     playing: bool = True
     position_s: float = 0.0
     _moved_s: float | None = None
-    _shown: dict[str, int | None] | None = None
 
     @classmethod
     def of(cls, take: Take) -> Playback:
@@ -82,23 +81,19 @@ class Playback:
         """Do not count the time until the next figures are asked for: nobody looks meanwhile."""
         self._moved_s = None
 
-    def new_figures_at(self, now_s: float) -> dict[str, Figure] | None:
-        """Move on to this moment, unless paused; return everybody who is there then, None when nothing has changed."""
+    def figures_at(self, now_s: float) -> dict[str, Figure]:
+        """Move on to this moment, unless paused; return everybody who is there then."""
         if self.playing and self._moved_s is not None:
             self.position_s += max(now_s - self._moved_s, 0.0)
             if self.position_s > self.seconds:
                 self.position_s = self.first_pose_s
         self._moved_s = now_s
-        stamp_ns = self.begins_ns + round(self.position_s * 1e9)
-        frames = {body_id: last_frame(motion, stamp_ns) for body_id, motion in self.motions.items()}
-        if frames == self._shown:
-            return None
-        self._shown = frames
-        shown = ((body_id, self.motions[body_id], frame) for body_id, frame in frames.items() if frame is not None)
-        return {
-            body_id: Figure(motion.points_world[k], point_deviations(motion.covariance[k]), str(motion.states[k]))
-            for body_id, motion, k in shown
-        }
+        stamp_ns, there = self.begins_ns + round(self.position_s * 1e9), {}
+        for body_id, motion in self.motions.items():
+            if (k := last_frame(motion, stamp_ns)) is not None:
+                sigma_m = point_deviations(motion.covariance[k])
+                there[body_id] = Figure(motion.points_world[k], sigma_m, str(motion.states[k]))
+        return there
 
     def plots(self, body_id: str) -> Iterator[tuple[str, Array, Array]]:
         """Yield title, times (n,) s and the curves (2, n) degrees of a person's left and right side, NaN in gaps."""
