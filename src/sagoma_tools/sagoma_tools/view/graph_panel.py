@@ -240,8 +240,6 @@ SILENT = (
 )
 NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs/first_capture.md leads to cameras"
 UNHEARD = "has not been heard yet"
-MOST_TEXT = 400
-"""Characters of what a node says: more than any of ours, and less than a panel."""
 
 
 def trouble_of(report: NodeReport | None, now_s: float) -> str:
@@ -288,7 +286,7 @@ def _html(colour: str, label: str, figures: str, says: str) -> str:
     return (
         f'<div style="border-left: 4px solid {colour}; padding: 0 0 2px 8px; margin: 0 10px 6px 10px; font-size: 13px; '
         f'line-height: 1.35; overflow-wrap: anywhere">'
-        f"<b>{escape(label[:MOST_TEXT])}</b> "
-        f'<span style="opacity: 0.7">{escape(figures[:MOST_TEXT])}</span>'
-        f"<br>{escape(says[:MOST_TEXT])}</div>"
+        f"<b>{escape(label)}</b> "
+        f'<span style="opacity: 0.7">{escape(figures)}</span>'
+        f"<br>{escape(says)}</div>"
     )
