@@ -69,11 +69,11 @@ def test_odd_headers_are_not_served(port, lines):
     assert answer.startswith((b"HTTP/1.1 400 ", b"HTTP/1.1 500 ")) and b"<html" not in answer
 
 
-@pytest.mark.parametrize("host", ["", "203.0.113.7", "a" * 100])
+@pytest.mark.parametrize("host", ["203.0.113.7", "a" * 100])
 def test_a_host_that_is_not_this_machine_ends_the_command_at_once(host, capsys):
     assert main(["view", "--host", host]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"sagoma: --host: '{host}' is no address of this machine.") and "ip address" in said
+    assert said.startswith(f"sagoma: --host: cannot listen on '{host}'") and "ip address" in said
 
 
 def test_a_taken_port_is_refused_when_it_was_asked_for_and_else_passed_over(capsys):

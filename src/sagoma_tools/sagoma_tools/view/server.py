@@ -154,28 +154,18 @@ def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
     """Open the socket to listen on; port as of :func:`guarded_server`. Raises InputError when there is none."""
-    try:
-        family, *_, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError) as error:
-        raise _no_host(host) from error
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     ports = (port,) if port is not None else range(PORT, PORT + TRIED_PORTS)
     for tried in ports:
         try:
-            return socket.create_server((address[0], tried, *address[2:]), family=family)
-        except OSError as error:
-            if error.errno == errno.EADDRNOTAVAIL:
-                raise _no_host(host) from error
-            if error.errno != errno.EADDRINUSE:
-                raise InputError(f"cannot listen there: {error.strerror}", where=f"--port {tried}") from error
+            return socket.create_server((host, tried), family=family)
+        except (OSError, UnicodeError) as error:
+            if getattr(error, "errno", None) != errno.EADDRINUSE:
+                remedy = "Give one of this machine's addresses (`ip address` lists them), or 0.0.0.0 for all."
+                what = f"cannot listen on '{host}', port {tried}: {error}"
+                raise InputError(what, where="--host", remedy=remedy) from error
     taken = f"port {ports[0]} is taken" if port is not None else f"ports {ports[0]} to {ports[-1]} are taken"
     raise InputError(taken, where="--port", remedy="Give another one, or 0 for any free one.")
-
-
-def _no_host(host: str) -> InputError:
-    remedy = (
-        "Give one of its addresses (`ip address` lists them), or 0.0.0.0 for all; without --host it is this machine's."
-    )
-    return InputError(f"'{host}' is no address of this machine", where="--host", remedy=remedy)
 
 
 def _page(connection: Any, request: Request, serve: Callable[[Any, Request], Response | None]) -> Response | None:
