@@ -109,7 +109,6 @@ def test_only_camera_lost_is_an_error(supervise):
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts(
     supervise, monkeypatch, tmp_path, request, capsys
 ):
-    monkeypatch.setattr("sagoma_tools.graph.lifecycle_client.ANSWER_S", 0.0)
     run = supervise(tiny("hull_server"), camera("cam01"))
     request.getfixturevalue("somebody_is_found")
     assert main(["up", "--rig", str(RING4), "--run-folder", str(tmp_path / "second")]) == 1

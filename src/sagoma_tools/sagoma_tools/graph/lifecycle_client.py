@@ -7,8 +7,6 @@ or a second graph would drive the first one's nodes.
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -18,7 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
-from . import ANSWER_S, LOOK_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
+from . import ANSWER_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
 from .ros_link import call_all, is_camera, node_names, settled
 
 
@@ -144,20 +142,7 @@ def _owner(service: str) -> str:
 # nodes of a graph's names that other processes run --------------------------------------------------------------------
 
 
-def living_nodes(node: Node, names: Collection[str], cancel: threading.Event) -> list[str]:
-    """Return which of these names nodes have already, before any of our own does.
-
-    Not of those that end within ANSWER_S; who answers nothing may have died, and has PATIENCE_S to be forgotten.
-    """
-
-    def look() -> set[str]:
-        return {*node_names(node)}.intersection(names)
-
-    settled(look, 0, ANSWER_S)
-    lifecycle, start_s = LifecycleClient(node), time.monotonic()
-    while (found := look()) and not cancel.is_set():
-        passed_s = time.monotonic() - start_s
-        if passed_s > PATIENCE_S or (passed_s > ANSWER_S and any(lifecycle.states(found, ROUND_S).values())):
-            break
-        cancel.wait(LOOK_S)
-    return sorted(found)
+def living_nodes(node: Node, names: Collection[str]) -> list[str]:
+    """Return which of these names nodes have that answer, before any of our own does: dead ones are seen, too."""
+    found = settled(lambda: {*node_names(node)}.intersection(names), 0, ANSWER_S)
+    return [name for name, label in LifecycleClient(node).states(found).items() if label]

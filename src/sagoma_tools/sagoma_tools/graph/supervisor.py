@@ -106,7 +106,7 @@ class Supervisor:
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
             names = {spec.full_name for spec in self.graph}
-            if running := living_nodes(self.node, names, self._cancel):
+            if running := living_nodes(self.node, names):
                 remedy = "End that graph, or give this one another ROS_DOMAIN_ID (or, launched, a namespace:=NAME)"
                 raise GraphError(f"{', '.join(running)} run already in this ROS domain. {remedy}.")
             self.processes.start_all()

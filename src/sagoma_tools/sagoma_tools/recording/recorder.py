@@ -104,14 +104,12 @@ class Recorder:
         add_all()
         self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
-        """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
+    def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> None:
+        """Return once each of these topics has a publisher, at the latest after ``timeout_s``."""
         names = tuple(topics)
         with self._arrived:
             self._arrived.wait_for(lambda: all(self._publishers.get(name) for name in names), timeout_s)
-            missing = tuple(name for name in names if not self._publishers.get(name))
         threading.Event().wait(SETTLE_S)
-        return missing
 
     def wait_for_stamp(self, topic: str, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as a message of this (stamped) topic with this or a later stamp is written."""
@@ -217,13 +215,13 @@ class GraphRecorder(Recorder):
             self._link.close()
             raise
 
-    def wait_for_graph(self) -> tuple[str, ...]:
-        """Return once every topic but latched ones and persons' has a publisher; returns those that have none in time.
+    def wait_for_graph(self) -> None:
+        """Return once every topic but latched ones and persons' has a publisher, at the latest after PATIENCE_S.
 
         Nodes open their publishers when they are configured: call it between configure and activate. A publisher that
         is opened later finds this recorder listening, and its first message is recorded.
         """
-        return self.wait_for_publishers([t.name for t in self._recorded if not (t.latched or t.of_person)], PATIENCE_S)
+        self.wait_for_publishers([t.name for t in self._recorded if not (t.latched or t.of_person)], PATIENCE_S)
 
     def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
         """Finish the bag, with the nodes' parameters and rig; returns the messages by topic. May be called twice."""
