@@ -98,8 +98,9 @@ def test_a_deleted_take_comes_back_from_the_bin_whole(takes):
     takes.restore("walk")
     with pytest.raises(InputError, match="already"):
         takes.restore("walk")
-    takes.restore("walk", "first walk")
-    assert takes.find("first walk").summary.persons["b0001"].rows == 20  # the one that was deleted first
+    takes.rename("walk", "second walk")
+    takes.restore("walk")
+    assert takes.find("walk").summary.persons["b0001"].rows == 20  # the one that was deleted first
     with pytest.raises(InputError, match="not in the bin"):
         takes.restore("walk")
 

@@ -207,7 +207,6 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
     parser.add_argument("--host", default=HOST, help=help_host)
     port = number("", 0, 65535, whole=True)
     parser.add_argument("--port", type=port, help=f"0: any free one (default: {PORT}, or the next free one)")
-    parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
     add_takes_argument(parser)
 
 
@@ -222,7 +221,7 @@ def view(args: argparse.Namespace) -> int:
 @contextmanager
 def page_of(args: argparse.Namespace) -> Iterator[Page]:
     """Serve the page that the arguments describe: of a take alone, or of the graph."""
-    guard = Guard.of(args.host, args.token)
+    guard = Guard.of(args.host)
     if (take := getattr(args, "take", None)) is not None:
         folder = bag_of(take, args.takes).resolve()
         with closing(Page(guard, args.port, TakesFolder(folder.parent))) as page:

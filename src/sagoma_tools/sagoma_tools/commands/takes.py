@@ -76,7 +76,6 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     verb("delete", delete, "move a take into the bin")
     back = of_all("restore", restore, "bring a deleted take back")
     back.add_argument("take", help="its name")
-    back.add_argument("--name", default="", help="under this name")
     of_all("bin", show_bin, "what is in the bin")
     gone = of_all("empty", empty, "remove what is in the bin for good")
     gone.add_argument("--yes", action="store_true", help="really")
@@ -182,7 +181,7 @@ def delete(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
 
 def restore(args: argparse.Namespace) -> int:
     """Bring a deleted take back."""
-    print(f"{TakesFolder(Path(args.takes)).restore(args.take, args.name)} is back")
+    print(f"{TakesFolder(Path(args.takes)).restore(args.take)} is back")
     return 0
 
 

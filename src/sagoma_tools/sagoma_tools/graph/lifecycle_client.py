@@ -41,17 +41,14 @@ TRANSITIONS = {
 @dataclass
 class Outcome:
     """What came of a command, by full node name: the state that each node acknowledged last, and why one did not go on
-    ("/hull_server: configure refused"); ``silent`` are those that did not answer."""
+    ("/hull_server: configure refused")."""
 
     reached: dict[str, State] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
-    silent: set[str] = field(default_factory=set)
 
     def fail(self, node: str, asked: str, said: str | None) -> None:
         """Note that a node did not do what it was asked for, and what it said; None: nothing."""
         self.failures[node] = f"{node}: {asked} {said or 'did not answer'}"
-        if said is None:
-            self.silent.add(node)
 
 
 def next_on_the_way(state: State, goal: State) -> State:

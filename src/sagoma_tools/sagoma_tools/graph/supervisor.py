@@ -217,7 +217,7 @@ class Supervisor:
         what = outcome.failures.get(spec.full_name, f"{spec.full_name} is {state}")
         if state == DEAD:
             what = f"{spec.full_name} has died (status {child.returncode})"
-        elif spec.full_name in outcome.silent and (busy := busy_machine()):
+        elif busy := busy_machine():
             what += f"; {busy}"
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{what}; the end of {child.log.name}:\n    {tail}"

@@ -109,13 +109,12 @@ class TakesFolder:
         names.sort(key=lambda match: (match["when"], int(match["number"] or 0)), reverse=True)
         return [DeletedTake(self.path / BIN / match[0], match["name"], match["when"]) for match in names]
 
-    def restore(self, name: str, new_name: str = "") -> Path:
-        """Bring the take of this name that was deleted last back, under another name if wanted. Raises InputError."""
+    def restore(self, name: str) -> Path:
+        """Bring the take of this name that was deleted last back. Raises InputError."""
         for deleted in self.deleted():
             if name in (deleted.name, deleted.path.name):
-                path = self.path / (check_name(new_name) if new_name else deleted.name)
-                move_new(deleted.path, path)
-                return path
+                move_new(deleted.path, self.path / deleted.name)
+                return self.path / deleted.name
         known = ", ".join(deleted.name for deleted in self.deleted()[:10]) or "nothing"
         raise InputError(f"'{name[:100]}' is not in the bin", where=str(self.path / BIN), remedy=f"There is: {known}.")
 
