@@ -3,7 +3,6 @@ byte for byte, in step with who answers."""
 
 import math
 import re
-import struct
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -200,7 +199,6 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
     (described,) = [topic for topic in described if topic["name"] == silhouette_topic("cam01")]
     announced = far_link.node.get_publishers_info_by_topic(silhouette_topic("cam01"))[0].topic_type_hash
     assert described["type_description_hash"] == str(announced)  # as ROS itself has it
-    assert str(announced) in hashes_in((tmp_path / "bag" / "bag.mcap").read_bytes())
     assert described["offered_qos_profiles"][0]["reliability"] == "reliable"
     assert re.fullmatch(r"\d+\.\d+\.\d+( \([0-9a-f]{12}(, modified)?\))?", document["software"]["sagoma"])
 
@@ -219,13 +217,3 @@ def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
     unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
     texts = {"/icp/body", "/icp/bodies", "/mocap/point_names", "/mocap/robot_description"}
     assert unstamped == texts | {"/mocap/skeleton", "/mocap/state"}
-
-
-def hashes_in(data: bytes) -> set[str]:
-    """The values of the key topic_type_hash in an mcap file: a length of four bytes before each text."""
-    key, found, at = b"topic_type_hash", set(), 0
-    while (at := data.find(key, at)) >= 0:
-        at += len(key)
-        (length,) = struct.unpack_from("<I", data, at)
-        found.add(data[at + 4 : at + 4 + length].decode())
-    return found
