@@ -184,12 +184,3 @@ def test_a_take_is_verified_by_its_name_or_path_into_columns_or_json(folder, cap
     assert {check["grade"] for check in json.loads(capsys.readouterr().out)} == {"ok", "warning"}
     assert main(["takes", "verify", str(folder / "cut")]) == 1
     assert capsys.readouterr().out.startswith("error   ")
-
-
-def test_a_take_whose_bytes_changed_is_not_measured_anew(folder, capsys):
-    file = folder / "walk" / "walk.mcap"
-    content = bytearray(file.read_bytes())
-    content[content.index(b"good; 100 frames")] ^= 1
-    file.write_bytes(content)
-    assert sagoma_takes(folder, "measure", "walk") == 2
-    assert "not those that were recorded" in capsys.readouterr().err

@@ -190,26 +190,20 @@ SHOWN_EVERY = 15  # frames of a video
 class TakeActions:
     """Does what the takes' buttons ask for, as work of ``jobs``; every take is named by its name in one folder."""
 
-    def __init__(self, takes: TakesFolder, jobs: Jobs, recording: Callable[[], str] = str) -> None:
-        """``recording`` : says the name of the take that is being recorded, which is left alone."""
-        self._takes, self._jobs, self._recording = takes, jobs, recording
+    def __init__(self, takes: TakesFolder, jobs: Jobs) -> None:
+        self._takes, self._jobs = takes, jobs
 
     def rename(self, name: str, new_name: str) -> str:
         """Give a take another name."""
-        self._check(name)
         return f"{name} is now {self._takes.rename(name, new_name).name}"
 
     def trim(self, name: str, new_name: str, from_s: float, to_s: float) -> str:
         """Make a new take of a part."""
-        self._check(name)
-        if not new_name.strip():
-            raise InputError("a part needs a name of its own", where="new name", remedy="Write one.")
         path = trim(self._takes, name, new_name, from_s, to_s)
         return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
 
     def delete(self, name: str) -> str:
         """Move a take into the bin."""
-        self._check(name)
         return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
 
     def restore(self) -> str:
@@ -219,7 +213,6 @@ class TakeActions:
 
     def export(self, name: str, kind: str, deliver: Deliver) -> str:
         """Write files of other programs into the take's folder, and give them to who asked, several as one zip."""
-        self._check(name)
         take = self._takes.find(name)
         formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
         files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=self._jobs.report)
@@ -228,7 +221,6 @@ class TakeActions:
 
     def video(self, name: str, deliver: Deliver) -> str:
         """Draw the take's video, unless it has been drawn, and give it to who asked."""
-        self._check(name)
         take = self._takes.find(name)
         path = take.path / EXPORTS / VIDEO
 
@@ -240,10 +232,6 @@ class TakeActions:
             write_video(take, path, progress=progress)
         deliver(f"{name}.mp4", path.read_bytes())
         return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
-
-    def _check(self, name: str) -> None:
-        if name and name == self._recording():
-            raise InputError(f"'{name}' is being recorded", where="takes", remedy="Finish the recording first.")
 
 
 def _deliver(paths: list[Path], name: str, deliver: Deliver) -> None:

@@ -52,7 +52,7 @@ class Page:
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
-        work = TakeActions(takes, self._jobs, lambda: control.recording if control is not None else "")
+        work = TakeActions(takes, self._jobs)
         leave = self.show_live if live is not None else None
         self._take_panel = TakesPanel(gui, tabs, work, self._jobs, self.play, leave)
         self.server.on_client_connect(lambda client: self._watched.set())
