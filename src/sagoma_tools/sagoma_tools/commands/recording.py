@@ -161,9 +161,6 @@ def check_replay(args: argparse.Namespace) -> None:
     if args.graph != (args.output is not None) or (args.graph and not args.lockstep):
         remedy = "Write `sagoma replay BAG --graph --lockstep --output OUT`."
         raise InputError("--graph and --output belong together, with --lockstep", where="arguments", remedy=remedy)
-    if args.lockstep and (args.loop or args.clock is not None):
-        remedy = "Leave out --lockstep, or --clock and --loop."
-        raise InputError("a replay in lockstep keeps no time", where="arguments", remedy=remedy)
     if args.output is not None:
         require_new(args.output)
 

@@ -103,14 +103,8 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
     if not os.path.exists(bag):  # also of a path that is too long
         raise InputError("there is no such bag", where=str(bag), remedy="Give the folder that holds metadata.yaml.")
     if bag.is_dir() and not (bag / METADATA).exists():
-        mcap = bool(list(bag.glob("*.mcap")))
-        raise InputError(
-            "has no metadata.yaml",
-            where=str(bag),
-            remedy=f"Its writer was killed: run `sagoma recover {bag}`."
-            if mcap
-            else "Give the folder of a rosbag2 bag.",
-        )
+        remedy = f"Give a bag's folder; where its writer was killed, run `sagoma recover {bag}`."
+        raise InputError("has no metadata.yaml", where=str(bag), remedy=remedy)
     try:
         reader = Reader(bag)
         reader.open()

@@ -13,13 +13,12 @@ from pathlib import Path
 
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import MCAP0_MAGIC
 from rosbags.typesys import TypesysError
 
 from capture_rig.errors import InputError
 from capture_rig.files import copy_file
 
-from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, read_messages
+from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG
 from .writer import BagWriter
 
 
@@ -41,17 +40,12 @@ class Recovery:
 def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
     """Copy every message that can still be read from ``bag`` into the new bag ``target``.
 
-    Raises InputError for a bag that is whole, and for what is no mcap bag.
+    Raises InputError for what is no mcap bag.
     """
     files = sorted(Path(bag).glob("*.mcap"))
     if len(files) != 1:
         what = f"holds {len(files) or 'no'} .mcap files" if Path(bag).is_dir() else "there is no such folder"
         raise InputError(what, where=str(bag), remedy="Give the folder that holds one .mcap file.")
-    if _is_readable(bag):
-        raise InputError("is complete", where=str(bag), remedy="It needs no recovery: it can be read as it is.")
-    with files[0].open("rb") as file:
-        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise InputError("is no mcap file", where=str(files[0]), remedy="Nothing can be recovered from it.")
     recovery = Recovery()
     with BagWriter(target) as writer:
         topics = _add_topics(_records(files[0], Recovery()), writer)
@@ -63,16 +57,6 @@ def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
         if (Path(bag) / sidecar).exists():
             copy_file(Path(bag) / sidecar, Path(target) / sidecar)
     return recovery
-
-
-def _is_readable(bag: str | Path) -> bool:
-    """Return whether every message can be read."""
-    try:
-        for _ in read_messages(bag):
-            pass
-    except InputError:
-        return False
-    return True
 
 
 def _add_topics(records: Iterator[McapRecord], writer: BagWriter) -> dict[int, str]:
