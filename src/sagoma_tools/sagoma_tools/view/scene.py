@@ -118,8 +118,6 @@ def floor_lines() -> Array:
 SURE_M, UNSURE_M = 0.02, 0.12
 """Standard deviation of a point that is drawn green, and red: a joint's own width, and a limb's error of one lost."""
 GREEN, AMBER, RED = np.array([60, 190, 90.0]), np.array([240, 170, 30.0]), np.array([220, 50, 45.0])
-COLOUR_STEPS = 16
-"""Shades between sure and unsure: fewer than the eye tells apart side by side, so that colours are seldom sent."""
 JOINT_M, HEAD_M, BONE_M = 0.038, 0.085, 0.028
 """Radii of the balls and of a spindle's waist: a wrist's and a skull's, and thinner than any limb."""
 SPHERE_POINTS = 110
@@ -202,7 +200,6 @@ def rotations_of_z_onto(directions: Array) -> Array:
 def confidence_colours(figure: Figure) -> Array:
     """(15, 3) uint8: green for sure points, amber, red for unsure ones; all red when the person is lost."""
     doubt = np.clip((figure.sigma_m - SURE_M) / (UNSURE_M - SURE_M), 0.0, 1.0)
-    doubt = np.round(doubt * COLOUR_STEPS) / COLOUR_STEPS
     if figure.state == "lost":
         doubt = np.ones_like(doubt)
     low = GREEN + (AMBER - GREEN) * np.minimum(2.0 * doubt, 1.0)[:, None]
