@@ -14,7 +14,6 @@ from typing import Any, Self
 
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
@@ -22,7 +21,7 @@ from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
 
 from ..graph import ANSWER_S, PATIENCE_S
-from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, topics_of
+from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, settled, topics_of
 from ..graph.topics import (
     DIAGNOSTICS,
     OUTPUT_TOPICS,
@@ -39,7 +38,7 @@ from .reader import header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
-SETTLE_S = 0.3  # a publisher discovers a subscription a little later than the other way round; how often one looks
+NEWCOMERS_S = 0.3  # how often a recorder looks for cameras and persons who have come
 
 
 class Recorder:
@@ -61,7 +60,6 @@ class Recorder:
         self._writer, self.folder = BagWriter(folder), Path(folder)
         self._arrived = threading.Condition()
         self._last_stamp_ns: dict[str, int] = {}
-        self._publishers: dict[str, int] = {}
         self._open = True
         self.failure: InputError | None = None
         self._on_failure = on_failure
@@ -89,11 +87,10 @@ class Recorder:
             partial(self._on_message, topic, has_header(topic.msgtype)),
             topic.qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(matched=partial(self._on_match, topic.name)),
         )
 
     def follow(self) -> None:
-        """Look every SETTLE_S for cameras that publish silhouettes, and for persons, and record them too."""
+        """Look every NEWCOMERS_S for cameras that publish silhouettes, and for persons, and record them too."""
 
         def add_all() -> None:
             names = topics_of(self._node)
@@ -102,14 +99,7 @@ class Recorder:
                     self.add(topic)
 
         add_all()
-        self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> None:
-        """Return once each of these topics has a publisher, at the latest after ``timeout_s``."""
-        names = tuple(topics)
-        with self._arrived:
-            self._arrived.wait_for(lambda: all(self._publishers.get(name) for name in names), timeout_s)
-        threading.Event().wait(SETTLE_S)
+        self._discovery = self._node.create_timer(NEWCOMERS_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def wait_for_stamp(self, topic: str, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as a message of this (stamped) topic with this or a later stamp is written."""
@@ -173,11 +163,6 @@ class Recorder:
         if self.failure is not None:
             self._on_failure(self.failure)
 
-    def _on_match(self, name: str, info: Any) -> None:
-        with self._arrived:
-            self._publishers[name] = info.current_count
-            self._arrived.notify_all()
-
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
 
@@ -221,7 +206,8 @@ class GraphRecorder(Recorder):
         Nodes open their publishers when they are configured: call it between configure and activate. A publisher that
         is opened later finds this recorder listening, and its first message is recorded.
         """
-        self.wait_for_publishers([t.name for t in self._recorded if not (t.latched or t.of_person)], PATIENCE_S)
+        names = {topic.name for topic in self._recorded if not (topic.latched or topic.of_person)}
+        settled(lambda: set(filter(self._link.node.count_publishers, names)), len(names), PATIENCE_S)
 
     def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
         """Finish the bag, with the nodes' parameters and rig; returns the messages by topic. May be called twice."""

@@ -11,11 +11,9 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -73,30 +71,23 @@ def simulated_clock(node: Node) -> Callable[[int], None]:
 
 
 class InputPublishers:
-    """Publishes the topics of a bag reliably, and counts their subscribers."""
+    """Publishes the topics of a bag reliably."""
 
     def __init__(self, node: Node, topics: Mapping[str, str]) -> None:
         """``topics``: name -> message type."""
-        self._node, self._matched = node, threading.Condition()
-        self._subscribers = dict.fromkeys(topics, 0)
+        self._node = node
         self._publishers: dict[str, Publisher] = {
-            name: node.create_publisher(
-                message_class(msgtype),
-                name,
-                offered_qos(name),
-                event_callbacks=PublisherEventCallbacks(matched=partial(self._on_match, name)),
-            )
+            name: node.create_publisher(message_class(msgtype), name, offered_qos(name))
             for name, msgtype in topics.items()
         }
 
     def wait_for_subscribers(self, topics: Iterable[str], timeout_s: float) -> None:
         """Return once every one of ``topics`` has a subscriber; InputError names those that have none in time."""
-        names = tuple(topics)
-        with self._matched:
-            if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
-                missing = ", ".join(name for name in names if not self._subscribers[name])
-                remedy = f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and its rig's camera names."
-                raise InputError(f"no subscriber within {timeout_s:g} s", where=missing, remedy=remedy)
+        names = {*topics}
+        heard = settled(lambda: set(filter(self._node.count_subscribers, names)), len(names), timeout_s)
+        if missing := names.difference(heard):
+            remedy = f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and its rig's camera names."
+            raise InputError(f"no subscriber within {timeout_s:g} s", where=", ".join(sorted(missing)), remedy=remedy)
 
     def require_no_other(self, topics: Iterable[str]) -> None:
         """Raises InputError when another node publishes one of ``topics``, as a live camera does: bodies would leap
@@ -120,11 +111,6 @@ class InputPublishers:
         for camera in cameras_in(self._publishers):
             if camera not in frame_set.frames:
                 self._publishers[f"/{camera}{SILHOUETTE_SUFFIX}"].publish(absence_message(frame_set.stamp_ns))
-
-    def _on_match(self, name: str, info: Any) -> None:
-        with self._matched:
-            self._subscribers[name] = info.current_count
-            self._matched.notify_all()
 
 
 def timed_by_exposures(messages: Iterable[BagMessage], pictures: Collection[str]) -> Iterator[BagMessage]:

@@ -268,18 +268,9 @@ def _block(label: str, report: NodeReport | None, now_s: float) -> str:
         since = time.strftime("%H:%M:%S", time.localtime(time.time() - silent_s))
         return _html(RED, label, "", SILENT.format(since, silent_s))
     figures = [f"{report.values[RATE]} Hz"] if RATE in report.values else []
-    figures += [age_of(report.values[AGE])] if AGE in report.values else []
+    figures += [f"{report.values[AGE]} ms old"] if AGE in report.values else []
     figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
     return _html(COLOURS.get(report.level, RED), label, ", ".join(figures), report.message)
-
-
-def age_of(text: str) -> str:
-    """Say how old results are, of milliseconds as a node writes them; its own text where that is no number."""
-    try:
-        age_ms = float(text)
-    except ValueError:
-        return text
-    return f"{age_ms:.0f} ms old" if age_ms < 2000.0 else f"{age_ms / 1e3:.1f} s old"
 
 
 def _html(colour: str, label: str, figures: str, says: str) -> str:
