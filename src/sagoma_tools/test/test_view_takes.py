@@ -6,7 +6,6 @@ import time
 import zipfile
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,27 +38,6 @@ FRAMES = 50
 def takes(tmp_path, take_at):
     take_at(tmp_path / "takes" / "walk", FRAMES, lost=range(10, 20))
     return TakesFolder(tmp_path / "takes")
-
-
-def test_no_button_reaches_out_of_the_folder(takes, tmp_path):
-    outside = take_bags.write_take(tmp_path / "outside", 1)
-    work = TakeActions(takes, Jobs())
-    sent = []
-    for name in ("../outside", str(outside), ""):
-        for asked in (
-            partial(work.rename, name, "mine"),
-            partial(work.trim, name, "mine", 0.1, 0.3),
-            partial(work.delete, name),
-            partial(work.export, name, "bvh", lambda *file: sent.append(file)),
-            partial(work.video, name, lambda *file: sent.append(file)),
-        ):
-            with pytest.raises(InputError):
-                asked()
-    for new_name in ("../mine", "/tmp/mine"):
-        with pytest.raises(InputError):
-            work.trim("walk", new_name, 0.1, 0.3)
-    assert not sent and {path.name for path in tmp_path.iterdir()} == {"takes", "outside"}
-    assert {path.name for path in takes.path.iterdir()} == {"walk"}
 
 
 def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):

@@ -169,7 +169,6 @@ class LockstepReport:
 
     sets: int = 0
     unanswered_ns: list[int] = field(default_factory=list)
-    last_stamp_ns: int = -1
     unrecorded: dict[str, int] = field(default_factory=dict)
 
 
@@ -217,7 +216,6 @@ def play_lockstep(
                 publishers.publish(message)
         publishers.publish_absences(frame_set)
         report.sets += 1
-        report.last_stamp_ns = frame_set.stamp_ns
         progress(report.sets)
         if not answers.wait_for(frame_set.stamp_ns, timeout_s):
             report.unanswered_ns.append(frame_set.stamp_ns)
@@ -278,7 +276,6 @@ def replay_through_graph(
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
             cameras = load_rig(rig_file).names
             report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
-            recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, PATIENCE_S)
             recorder.wait_until_quiet(ROUND_S, PATIENCE_S)
             report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.counts[t]) != 0}
     return report
