@@ -174,17 +174,12 @@ class ProcessGroup:
     """The processes of one graph, each with one log and one parameter file in the run folder."""
 
     def __init__(
-        self,
-        graph: Sequence[NodeSpec],
-        run_folder: Path,
-        server: str,
-        domain_id: int | None,
-        on_exit: Callable[[ProcessSpec, Child], None],
+        self, graph: Sequence[NodeSpec], run_folder: Path, server: str, on_exit: Callable[[ProcessSpec, Child], None]
     ) -> None:
         """``on_exit`` is called, from another thread, for every process that ends by itself."""
         self.specs = tuple(processes_of(graph, server))
         self._labels = {node.full_name: spec.label for spec in self.specs for node in spec.nodes}
-        self._run_folder, self._domain_id, self._on_exit = run_folder, domain_id, on_exit
+        self._run_folder, self._on_exit = run_folder, on_exit
         self._children: dict[str, Child] = {}
 
     def start_all(self) -> None:
@@ -201,8 +196,6 @@ class ProcessGroup:
         command += ["--params-file", str(self._path(spec, "yaml"))]
         env = {**THREADS_ENV, **os.environ, **LOG_ENV}
         env["ROS_LOG_DIR"] = str(self._run_folder / "ros_log")
-        if self._domain_id is not None:
-            env["ROS_DOMAIN_ID"] = str(self._domain_id)
         log = self._path(spec, "log")
         child = Child(spec.label, command, log, env, lambda child: self._on_exit(spec, child))
         self._children[spec.label] = child

@@ -52,7 +52,6 @@ class Supervisor:
         run_folder: str | Path,
         server: str = ONE_PROCESS,
         *,
-        domain_id: int | None = None,
         cancel: threading.Event | None = None,
         on_event: Callable[[ProcessEvent], None] = lambda event: None,
         restart_delay_s: float | None = None,
@@ -61,7 +60,6 @@ class Supervisor:
 
         run_folder : gets one log and one parameter file a process; made when missing.
         server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
-        domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         restart_delay_s : once the graph is active, processes that crash are started again after this and become active
             by themselves, but for cameras that read files: their place in the footage is lost. None: they stay dead.
@@ -70,10 +68,10 @@ class Supervisor:
         self.graph = tuple(graph)
         if restart_delay_s is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
-        self.processes = ProcessGroup(self.graph, self.run_folder, server, domain_id, self._on_exit)
+        self.processes = ProcessGroup(self.graph, self.run_folder, server, self._on_exit)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome()
-        self._domain_id, self._on_event, self._restart_delay_s = domain_id, on_event, restart_delay_s
+        self._on_event, self._restart_delay_s = on_event, restart_delay_s
         self._cancel, self._halted = cancel or threading.Event(), threading.Event()
         self._running = False
         self._lock = threading.RLock()  # held while a process is started, and while states change
@@ -101,7 +99,7 @@ class Supervisor:
 
         GraphError when nodes of the same names run already: two graphs would mix their messages. Nothing is started.
         """
-        self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
+        self._link = RosLink("sagoma_supervisor")
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:

@@ -182,7 +182,6 @@ class GraphRecorder(Recorder):
         bag: str | Path,
         *,
         topics: Iterable[Topic] | None = None,
-        domain_id: int | None = None,
         provenance: Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
@@ -193,7 +192,7 @@ class GraphRecorder(Recorder):
         self._recorded = tuple(everything if topics is None else topics)
         self._configuration = {node.full_name: dict(node.parameters) for node in graph}
         self._provenance = dict(provenance or {})
-        self._link = RosLink("sagoma_recorder", domain_id=domain_id)
+        self._link = RosLink("sagoma_recorder")
         try:
             super().__init__(self._link.node, bag, self._recorded, **options)
         except BaseException:

@@ -245,7 +245,6 @@ def replay_through_graph(
     rig: str | Path | None = None,
     body: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
-    domain_id: int | None = None,
     cancel: threading.Event | None = None,
     server: str = ONE_PROCESS,
 ) -> LockstepReport:
@@ -260,14 +259,12 @@ def replay_through_graph(
     chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
-    with Supervisor(graph, run_folder, server, domain_id=domain_id, cancel=cancel) as supervisor:
+    with Supervisor(graph, run_folder, server, cancel=cancel) as supervisor:
         doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (
-            GraphRecorder(
-                graph, output, topics=server_topics(graph), domain_id=domain_id, provenance=made_from
-            ) as recorder,
-            RosLink("sagoma_replayer", domain_id=domain_id) as link,
+            GraphRecorder(graph, output, topics=server_topics(graph), provenance=made_from) as recorder,
+            RosLink("sagoma_replayer") as link,
         ):
             recorder.wait_for_graph()
             supervisor.activate()
