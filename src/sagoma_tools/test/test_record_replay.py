@@ -11,10 +11,12 @@ import yaml
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, MultiDOFJointState
+from std_msgs.msg import String
 from tools_waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
+from sagoma_ros.qos import LATCHED
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, camera_topics
 from sagoma_tools.recording.reader import BagMessage, read_messages, read_provenance
@@ -197,13 +199,18 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
     assert re.fullmatch(r"\d+\.\d+\.\d+( \([0-9a-f]{12}(, modified)?\))?", document["software"]["sagoma"])
 
 
-def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
+def test_cameras_and_persons_but_the_first_are_found_as_they_appear(link, far_link, tmp_path):
+    bodies = [f"/mocap/bodies/b000{number}/robot_description" for number in (1, 2)]
+    said = [far_link.node.create_publisher(String, body, LATCHED) for body in bodies]
+    for publisher in said:
+        publisher.publish(String(data="a body"))
     recorder = Recorder(link.node, tmp_path / "bag", [])
     recorder.follow()
     publishers = connected_publishers(far_link)
     publishers.publish(silhouette("cam01", 0))
     assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)
-    assert set(recorder.close()) == {t.name for camera in CAMERAS for t in camera_topics(camera)}
+    assert recorder.wait_for_count(bodies[1], 1, PATIENCE_S)
+    assert set(recorder.close()) == {t.name for camera in CAMERAS for t in camera_topics(camera)} | {bodies[1]}
 
 
 def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():

@@ -263,7 +263,7 @@ def replay_through_graph(
         doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (
-            GraphRecorder(graph, output, topics=server_topics(graph), provenance=made_from) as recorder,
+            GraphRecorder(graph, output, topics=server_topics(graph), provenance=made_from, canonical=True) as recorder,
             RosLink("sagoma_replayer") as link,
         ):
             recorder.wait_for_graph()
