@@ -381,8 +381,8 @@ def test_services_of_a_client_whose_camera_just_died_answer(pc):
     pc.camera.faults.unplugged = True  # every access to it blocks for seconds from now on
     for goal in (State.INACTIVE, State.UNCONFIGURED):
         asked_s = time.monotonic()
-        assert not client.bring([[pc.node]], goal, timeout_s=DEAD_CAMERA_S).failures
+        assert not client.bring([pc.node], goal, timeout_s=DEAD_CAMERA_S).failures
         measured(f"{goal} while the camera is dead", time.monotonic() - asked_s)
     pc.camera.faults.clear()
-    assert not client.bring([[pc.node]], State.ACTIVE).failures
+    assert not client.bring([pc.node], State.ACTIVE).failures
     pc.until_well()

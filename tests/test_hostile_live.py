@@ -6,7 +6,6 @@ graph has (introspection), so new ones are attacked too.
 
 from __future__ import annotations
 
-import os
 import struct
 import threading
 import time
@@ -89,7 +88,7 @@ class Target:
 
 
 @contextmanager
-def running_graph(folder: Path, domain: int) -> Iterator[Target]:
+def running_graph(folder: Path) -> Iterator[Target]:
     """A graph that tracks the studio's person until the block ends."""
     session = folder / "session"
     if not session.exists():
@@ -97,10 +96,10 @@ def running_graph(folder: Path, domain: int) -> Iterator[Target]:
         write_session(session, ring(2, True), body, fps=FPS, seconds=SECONDS, motion="t_pose_only", settings=look)
     settings = {"icp_tracker.bodies.folder": str(folder / "bodies"), "hull_server.mesh.folder": str(folder / "meshes")}
     graph = build_graph(session=session, loop=True, settings={**settings, "hull_server.thin_out": False})
-    with Supervisor(graph, folder / "run", THREE_PROCESSES, domain_id=domain) as supervisor:
+    with Supervisor(graph, folder / "run", THREE_PROCESSES) as supervisor:
         supervisor.configure()
         supervisor.activate()
-        with RosLink("hostile", domain_id=domain) as link:
+        with RosLink("hostile") as link:
             target = Target(supervisor, link)
             if not target.wait_for_tracking(90.0):
                 raise SystemExit(f"the graph does not track: {target.state()}")
@@ -196,7 +195,7 @@ COUNTED = {"bad_images", "bad_predictions", "bad_hulls", "bad_keypoints", "bad_r
 @pytest.mark.slow
 def test_the_graph_tracks_on_under_hostile_messages_and_counts_them(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with running_graph(tmp_path, int(os.environ["ROS_DOMAIN_ID"])) as target:
+    with running_graph(tmp_path) as target:
         attacker = Attacker(target)
         for _ in range(TRIES):
             for attack in attacks(time.time_ns):

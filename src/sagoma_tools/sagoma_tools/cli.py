@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from capture_rig.errors import InputError, shortened
+from capture_rig.errors import InputError
 from capture_rig.files import describe_os_error
 from sagoma_ros.middleware import use_peers
 
@@ -27,7 +27,6 @@ COMMANDS = {
     "doctor": ("doctor",),
 }
 """Module -> its subcommands, in the order of the help."""
-NAMES = "Names in ROS have letters, digits and _, parts divided by /, and no part begins with a digit."
 ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "doctor"}
 
 
@@ -49,11 +48,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return NO_READER
     except OSError as error:  # a file or folder that cannot be used, wherever it was named
         return _refuse(describe_os_error(error, "cannot be used"), BAD_INPUT)
-    except Exception as error:
-        if "NameValidationException" not in {kind.__name__ for kind in type(error).__mro__}:
-            raise  # rclpy's, about a topic, camera or node, is known by its name: rclpy takes long to load
-        what = shortened(" ".join(str(error).replace("^", "").split()))
-        return _refuse(InputError(what, where="names", remedy=NAMES), BAD_INPUT)
 
 
 def run(argv: list[str]) -> int:

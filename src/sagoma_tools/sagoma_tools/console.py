@@ -8,7 +8,6 @@ import shutil
 import sys
 import textwrap
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple, NoReturn
@@ -95,8 +94,6 @@ def _plain(cell: RenderableType) -> str:
 # progress -------------------------------------------------------------------------------------------------------------
 
 
-LOG_EVERY_S = 10.0
-
 _running: ProgressLine | None = None
 
 
@@ -116,10 +113,10 @@ def until_stopped() -> None:
 
 
 class ProgressLine:
-    """Shows the steps of a command while it runs; a context manager."""
+    """Shows the steps of a command on a terminal while it runs; a context manager."""
 
     def __init__(self) -> None:
-        self._lock, self._ended = threading.RLock(), threading.Event()
+        self._lock = threading.RLock()
         self._progress: Progress | None = None
 
     def __enter__(self) -> ProgressLine:
@@ -134,20 +131,15 @@ class ProgressLine:
 
     def begin(self, what: str, total: int | None) -> Callable[..., None]:
         """Begin a step, as :func:`doing` does."""
+        console = Console(stderr=True, soft_wrap=True)  # what is printed meanwhile goes through it unchanged
+        columns = TextColumn("{task.description}{task.fields[done]}", markup=False), BarColumn(), TimeElapsedColumn()
+        progress = Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
+        task = progress.add_task(what, total=total, done="")
         with self._lock:
             self.end()
-            text = TextColumn("{task.description}{task.fields[done]}", markup=False)
-            console = Console(stderr=True, soft_wrap=True)  # what is printed meanwhile goes through it unchanged
-            shared = sys.stdout.isatty()
-            columns = text, BarColumn(), TimeElapsedColumn()
-            progress = Progress(*columns, console=console, transient=True, redirect_stdout=shared)
-            task = progress.add_task(what, total=total, done="")
             if console.is_terminal:
                 progress.start()
-            else:
-                self._ended = threading.Event()
-                threading.Thread(target=_log, args=(progress, self._ended), name="progress", daemon=True).start()
-            self._progress = progress
+                self._progress = progress
 
         def update(done: int | str, total: int | None = None) -> None:
             if isinstance(done, str):
@@ -162,19 +154,9 @@ class ProgressLine:
     def end(self) -> None:
         """End the present step."""
         with self._lock:
-            self._ended.set()
-            if self._progress is not None and self._progress.console.is_terminal:
+            if self._progress is not None:
                 self._progress.stop()
             self._progress = None
-
-
-def _log(progress: Progress, ended: threading.Event) -> None:
-    """Write to stderr what is done, how far it is and since when, now and then until it has ended."""
-    began_s = time.monotonic()
-    while not ended.wait(LOG_EVERY_S):
-        (task,) = progress.tasks
-        passed_s = time.monotonic() - began_s
-        print(f"{task.description}{task.fields['done']}, {passed_s:.0f} s", file=sys.stderr, flush=True)
 
 
 # help -----------------------------------------------------------------------------------------------------------------
@@ -243,7 +225,7 @@ HELP: Mapping[str, CommandHelp] = {
     "takes delete": CommandHelp(("takes delete walk1",)),
     "takes restore": CommandHelp(("takes restore walk1",)),
     "takes bin": CommandHelp(("takes bin",)),
-    "takes empty": CommandHelp(("takes empty",)),
+    "takes empty": CommandHelp(("takes empty --yes",)),
     "takes measure": CommandHelp(("takes measure walk1",)),
     "smooth": CommandHelp((f"smooth {TAKE}",)),
     "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}),

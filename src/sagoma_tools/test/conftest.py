@@ -1,6 +1,5 @@
 import os
 import shutil
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from graph_timeouts import graphs_start_within
 
 from capture_rig.session import Session, load_session
 from sagoma_bringup.graph import NodeSpec
-from sagoma_tools.graph.ros_link import RosLink, settled
+from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.takes.measure import finish_take
 from stick_figure.body import Body
@@ -40,20 +39,6 @@ def _tiny_node_is_importable():
 def _graphs_settle_soon(monkeypatch):
     """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
     monkeypatch.setattr("sagoma_tools.graph.ros_link.ROUND_S", 0.2)
-
-
-@pytest.fixture
-def somebody_is_found(monkeypatch):
-    """Who looks for nodes of its own names before it starts looks until there is one, however busy the machine."""
-    monkeypatch.setattr(
-        "sagoma_tools.graph.lifecycle_client.settled", lambda look, expect, wait_s: settled(look, 1, 60.0)
-    )
-
-
-@pytest.fixture(autouse=True)
-def _commands_take_no_time(monkeypatch):
-    """No command logs its progress, however busy the machine: what stands on stderr is what was wrong."""
-    monkeypatch.setattr("sagoma_tools.console.LOG_EVERY_S", threading.TIMEOUT_MAX)
 
 
 @pytest.fixture(scope="session")

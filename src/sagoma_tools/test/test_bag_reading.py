@@ -33,7 +33,6 @@ from sagoma_tools.recording.reader import (
     first_difference,
     header_stamp_ns,
     input_topics,
-    open_bag,
     read_frame_sets,
     read_messages,
     read_provenance,
@@ -124,11 +123,10 @@ def test_digest_is_of_length_and_bytes_of_each_message_and_the_first_difference_
         write_joint_states(tmp_path / name, content)
     expected = hashlib.sha256(b"".join(struct.pack("<Q", len(m)) + m for m in messages)).hexdigest()
     assert bag_digest(tmp_path / "a")[topic].sha256 == expected
-    assert first_difference(tmp_path / "a", tmp_path / "same", topic) is None
+    assert first_difference(tmp_path / "a", tmp_path / "same", topic) == ""
     found = first_difference(tmp_path / "a", tmp_path / "b", topic)
-    assert (found.index, found.byte) == (2, len(messages[2]) - 1)
-    found = first_difference(tmp_path / "a", tmp_path / "short", topic)
-    assert (found.index, found.byte, found.count_a, found.count_b) == (3, None, 4, 3)
+    assert f"message 2 differs first, from byte {len(messages[2]) - 1} on" in found
+    assert "short ends after 3 messages" in first_difference(tmp_path / "a", tmp_path / "short", topic)
 
 
 def test_bytes_between_the_fields_do_not_count(tmp_path):
@@ -142,7 +140,7 @@ def test_bytes_between_the_fields_do_not_count(tmp_path):
     write_joint_states(tmp_path / "clean", [clean])
     write_joint_states(tmp_path / "dirty", [dirty])
     assert bag_digest(tmp_path / "clean") == bag_digest(tmp_path / "dirty")
-    assert first_difference(tmp_path / "clean", tmp_path / "dirty", "/mocap/joint_states") is None
+    assert first_difference(tmp_path / "clean", tmp_path / "dirty", "/mocap/joint_states") == ""
     assert canonical_bytes(b"\x00\x01\x00\x00rubbish", "sensor_msgs/msg/JointState").endswith(b"rubbish")
 
 
@@ -209,16 +207,6 @@ def opened(bag):
     return writer
 
 
-def fill(writer):
-    """Write until the writer refuses; return the messages that it took."""
-    for number in range(10_000):
-        try:
-            writer.write(TOPIC, 1_000_000 * number, b"\0\1\0\0" + bytes(256 << 10))
-        except InputError:
-            return number
-    raise AssertionError("the disk is not full")
-
-
 def test_a_killed_recorder_loses_less_than_a_second(tmp_path):
     command = [sys.executable, "-c", WRITER_TO_KILL, str(tmp_path / "bag")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
@@ -265,23 +253,6 @@ def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_pat
     assert SYNC_S <= 0.5
 
 
-def test_a_full_disk_ends_the_recording_and_what_was_saved_can_be_read(small_disk):
-    writer = opened(small_disk / "bag")
-    taken = fill(writer)
-    for said in ("No space left on device", "messages", "are saved", "Free space"):
-        assert said in str(writer.failure)
-    saved = writer.counts[TOPIC]
-    assert taken == saved > 0  # the chunk that found no room lies in the reserve
-    writer.describe({"by": "test"})
-    writer.close()
-    read = list(read_messages(small_disk / "bag"))
-    assert len(read) == saved and [m.log_ns for m in read] == [1_000_000 * number for number in range(saved)]
-    with open_bag(small_disk / "bag") as reader:
-        assert reader.message_count == saved and reader.duration == 1_000_000 * (saved - 1) + 1
-    assert "No space left" in read_provenance(small_disk / "bag")["ended_early"]
-    assert not list((small_disk / "bag").glob(".*"))
-
-
 def test_a_disk_without_room_for_a_bag_is_refused_at_once(small_disk):
     (small_disk / "other").write_bytes(bytes(6 << 20))
     with pytest.raises(InputError, match=r"no bag can be written \(No space left on device\)\. Free space"):
@@ -296,15 +267,13 @@ def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path
     writer = opened(tmp_path / "bag")
     for number in range(6):  # the first chunk is closed by its size
         writer.write(TOPIC, number, b"\0\1\0\0" + bytes(CHUNK_BYTES // 4))
-    failing = types.SimpleNamespace(write=fail, fileno=writer._file._file.fileno, close=writer._file._file.close)
-    monkeypatch.setattr(writer._file, "_file", failing)
+    monkeypatch.setattr(writer._file, "_file", types.SimpleNamespace(write=fail, fileno=writer._file._file.fileno))
     with pytest.raises(InputError, match="the recording has ended"):
         for number in range(6, 20):
             writer.write(TOPIC, number, RECORDED + bytes(CHUNK_BYTES // 4))
     with pytest.raises(InputError, match=r"end cannot be written .*sagoma recover"):
         writer.close()
-    recovered = recover_bag(tmp_path / "bag", tmp_path / "mended").counts[TOPIC]
-    assert writer.counts[TOPIC] <= recovered and 4 <= recovered <= 6
+    assert 4 <= recover_bag(tmp_path / "bag", tmp_path / "mended").counts[TOPIC] <= 6
 
 
 def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk, link):
@@ -322,6 +291,8 @@ def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_
     saved = int(next(line.split()[0] for line in said.splitlines() if TOPIC in line))
     assert f"{sum(int(line.split()[0]) for line in said.splitlines() if line.split()[0].isdigit())} messages" in told
     assert len(list(read_messages(small_disk / "bag", TOPIC.__eq__))) == saved > 0
+    assert "No space left" in read_provenance(small_disk / "bag")["ended_early"]
+    assert not list((small_disk / "bag").glob(".*"))
 
 
 def test_messages_of_a_bag_have_a_checksum(tmp_path):
@@ -376,15 +347,3 @@ def test_of_a_bag_cut_or_damaged_in_a_chunk_that_chunk_alone_is_lost(tmp_path, c
     mcap.write_bytes(whole[:place] + bytes(4) + whole[place + 4 :])
     assert recover_bag(tmp_path / "bag", tmp_path / "repaired").damaged_chunks == 1
     assert [m.data for m in read_messages(tmp_path / "repaired")] == messages[:4] + messages[8:]
-
-
-def test_a_chunk_that_claims_a_terabyte_or_an_unknown_compression_is_no_trap(tmp_path):
-    mcap = write_compressed(tmp_path / "bag", "zstd", [RECORDED] * 4)
-    content = bytearray(mcap.read_bytes())
-    place = content.index(b"\4\0\0\0zstd")
-    content[place - 12 : place - 4] = (1 << 40).to_bytes(8, "little")  # its uncompressed size
-    mcap.write_bytes(content)
-    assert recover_bag(tmp_path / "bag", tmp_path / "mended").damaged_chunks == 1
-    mcap.write_bytes(content.replace(b"\4\0\0\0zstd", b"\4\0\0\0zpaq"))
-    with pytest.raises(InputError, match=r"compression type 'zpaq'.*mcap recover"):
-        recover_bag(tmp_path / "bag", tmp_path / "never")

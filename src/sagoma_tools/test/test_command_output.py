@@ -2,14 +2,12 @@
 
 import io
 import sys
-import threading
 
 import pytest
 from rich.table import Table
 
 from sagoma_tools.console import CommandConsole, ProgressLine, command_console, doing, until_stopped
 
-ESCAPE = "\x1b"
 PATH = "/a/path/that/is/longer/than/any/terminal/that/is/forty/columns/wide/overlay.png"
 
 
@@ -51,24 +49,6 @@ def test_output_into_a_file_stays_there_while_progress_is_shown(monkeypatch):
         print('{"frames": 3}')
         assert sys.stdout.getvalue() == '{"frames": 3}\n'
     assert "reading the bag" in screen.getvalue() and "frames" not in screen.getvalue()
-
-
-def test_a_log_gets_a_plain_line_now_and_then_until_the_step_is_over(monkeypatch):
-    written = threading.Semaphore(0)
-
-    class Log(io.StringIO):
-        def write(self, text):
-            super().write(text)
-            written.release()
-
-    monkeypatch.setattr("sagoma_tools.console.LOG_EVERY_S", 0.01)
-    monkeypatch.setattr(sys, "stderr", Log())
-    with ProgressLine():
-        doing("tracking frames", 400)(100)
-        assert written.acquire(timeout=60.0) and written.acquire(timeout=60.0)
-        until_stopped()
-    said = sys.stderr.getvalue()
-    assert said.startswith("tracking frames: 100 of 400 (25 %), 0 s\n") and ESCAPE not in said and "\r" not in said
 
 
 @pytest.mark.parametrize("width", [40, 80, 200])

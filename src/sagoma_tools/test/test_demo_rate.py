@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from sagoma_tools.cli import main
 from sagoma_tools.commands import demo
-from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
+from sagoma_tools.commands.demo import next_step, pace, unsound
 from sagoma_tools.evaluation import live_run
 from sagoma_tools.graph.diagnostics_table import NodeReport, latency_line
 
@@ -19,8 +19,12 @@ def test_capture_at_any_rate_is_sound_when_its_sets_are_answered_and_somebody_is
 
 
 def test_line_says_what_was_done_and_what_to_do_next(monkeypatch):
-    assert rate_line(60.0, 59.5) == "this machine holds all the cameras' 60 Hz"
-    assert "36 Hz of the cameras' 60 Hz, and all cameras left out the same frames" in rate_line(60.0, 36.2)
+    for held_hz, speed, said in (
+        (59.5, 1.0, "holds all the cameras' 60 Hz"),
+        (36.2, 1.0, "36 Hz of the cameras' 60 Hz; all left out the same frames"),
+        (60.0, 1 / 16, "shown at 1/16 of the speed of 5 cameras at 60 Hz"),
+    ):
+        assert pace(SimpleNamespace(hz_held=held_hz, speed=speed), 5, 60.0).endswith(said)
     monkeypatch.setattr("os.getloadavg", lambda: (1e3, 0.0, 0.0))
     assert "load 1000.0" in next_step(None) and "--rate 0" in next_step(1.0)
     assert "busy" not in next_step(0.0) and "--rate 0" not in next_step(0.0)  # that was done
@@ -54,12 +58,6 @@ def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkey
     monkeypatch.setattr(live_run, "run_live", run)
     live_run.run_studio("session", tmp_path, 60.0, asked)
     assert tried == speeds
-
-
-def test_line_of_slow_motion_says_how_slow_and_why():
-    machine = "this machine does not hold 5 cameras at 60 Hz"
-    assert speed_line(0.25, 5, 60.0, forced=False) == f"shown at 1/4 of the speed: {machine}"
-    assert speed_line(1 / 16, 5, 60.0, forced=True) == "shown at 1/16 of the speed: as asked for"
 
 
 @pytest.mark.parametrize("rate", ["0", "1"])

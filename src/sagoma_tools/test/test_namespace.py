@@ -57,9 +57,9 @@ def test_nodes_services_and_topics_are_those_of_the_namespace(graphs):
 
 def test_the_recorder_names_topics_as_they_are_without_a_namespace(graphs, tmp_path):
     bag = tmp_path / "bag"
-    assert main(["record", str(bag), "--namespace", "studio", "--topics", "/icp", "--seconds", "1.5"]) == 0
-    assert bag_topics(bag) == {"/icp/body": "std_msgs/msg/String"}
-    (message,) = read_messages(bag)
+    assert main(["record", str(bag), "--namespace", "studio", "--seconds", "1.5"]) == 0
+    assert bag_topics(bag)["/icp/body"] == "std_msgs/msg/String"
+    (message,) = read_messages(bag, "/icp/body".__eq__)
     assert message.decode(String).data == "of /studio"
 
 

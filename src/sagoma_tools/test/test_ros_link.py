@@ -1,4 +1,4 @@
-"""The link of a tool to a graph: its end, its memory, its middleware, and nodes of our names that others run."""
+"""The link of a tool to a graph: its end, its memory, its middleware."""
 
 import gc
 import os
@@ -12,35 +12,7 @@ from std_msgs.msg import Int64
 
 from capture_rig.errors import InputError
 from sagoma_ros.middleware import PROFILE_VARIABLE, QOS_FROM_PROFILE, profile_file, use_peers
-from sagoma_tools.graph import lifecycle_client as looks
-from sagoma_tools.graph.lifecycle_client import living_nodes
 from sagoma_tools.graph.ros_link import RosLink
-
-HULL, CAMERA = "/hull_server", "/cam01/camera_client"
-
-
-@pytest.mark.usefixtures("somebody_is_found")
-def test_node_that_is_just_ending_is_waited_for_and_counts_no_longer(link, monkeypatch):
-    monkeypatch.setattr(looks, "ANSWER_S", 60.0)
-    ending = RosLink("hull_server")
-
-    class Cancel(threading.Event):
-        """Whoever waits has seen the node, which then ends."""
-
-        def wait(self, timeout=None):
-            ending.close()
-            return super().wait(timeout)
-
-    assert living_nodes(link.node, {HULL}, Cancel()) == []
-    assert not ending.context.ok()
-
-
-@pytest.mark.usefixtures("somebody_is_found")
-def test_node_that_answers_nothing_counts_once_patience_is_over(link, monkeypatch):
-    monkeypatch.setattr(looks, "PATIENCE_S", 0.0)
-    with RosLink("hull_server"):
-        assert living_nodes(link.node, {HULL, CAMERA}, threading.Event()) == [HULL]
-
 
 WARM, COUNTED = 1000, 1000
 PATIENCE_S = 60.0

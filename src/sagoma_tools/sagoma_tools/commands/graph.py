@@ -20,7 +20,6 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
-from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from sagoma_bringup.launch_arguments import RESTART_DELAY_S
 from virtual_studio.gige import __main__ as studio
 
@@ -37,7 +36,7 @@ from ..arguments import (
 from ..console import command_console, doing, until_stopped
 from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.lifecycle_client import LifecycleClient, State, groups_of
+from ..graph.lifecycle_client import LifecycleClient, State
 from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
 from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
@@ -73,7 +72,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     for verb, (goal, cameras_first, help_text) in VERBS.items():
         parser = subparsers.add_parser(verb, help=help_text)
         parser.add_argument("--expect", type=NODES, default=1, help="wait until so many sagoma nodes are found")
-        parser.add_argument("--rig", help="rig YAML: wait for the server and for the client of each of its cameras")
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         add_namespace_argument(parser)
@@ -173,22 +171,12 @@ def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
 
 def change_state(args: argparse.Namespace) -> int:
     """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
-    namespace = namespace_argument(args)
-    with RosLink("sagoma_control", namespace=namespace) as link:
+    with RosLink("sagoma_control", namespace=namespace_argument(args)) as link:
         doing("looking for nodes")
-        names = (*SERVER_NODES, *(f"{camera}/{CAMERA_NODE}" for camera in load_rig(args.rig).names)) if args.rig else ()
-        awaited = frozenset(f"{namespace}/{name}" for name in names)
-        found = find_nodes(
-            lambda: our_nodes(link.node) & (awaited or our_nodes(link.node)),
-            "nodes of ours",
-            len(awaited) or args.expect,
-            args.wait,
-            awaited,
-        )
-        found = sorted(our_nodes(link.node).union(found))
+        found = find_nodes(lambda: our_nodes(link.node), "nodes of ours", args.expect, args.wait)
         doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
-        outcome = client.bring(groups_of(found, args.cameras_first), args.goal, args.timeout)
+        outcome = client.bring(found, args.goal, args.cameras_first, args.timeout)
         states = client.states(found)
     for name in found:
         print(f"{name}: {states[name] or 'did not answer'}")
@@ -219,7 +207,6 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
     parser.add_argument("--host", default=HOST, help=help_host)
     port = number("", 0, 65535, whole=True)
     parser.add_argument("--port", type=port, help=f"0: any free one (default: {PORT}, or the next free one)")
-    parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
     add_takes_argument(parser)
 
 
@@ -234,7 +221,7 @@ def view(args: argparse.Namespace) -> int:
 @contextmanager
 def page_of(args: argparse.Namespace) -> Iterator[Page]:
     """Serve the page that the arguments describe: of a take alone, or of the graph."""
-    guard = Guard.of(args.host, args.token)
+    guard = Guard.of(args.host)
     if (take := getattr(args, "take", None)) is not None:
         folder = bag_of(take, args.takes).resolve()
         with closing(Page(guard, args.port, TakesFolder(folder.parent))) as page:

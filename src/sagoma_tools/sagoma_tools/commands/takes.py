@@ -73,15 +73,12 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     film.add_argument(
         "--output", metavar="FILE", help=f"mp4, webm (for browsers) or avi (default: TAKE/{EXPORTS}/{VIDEO})"
     )
-    film.add_argument("--cameras", nargs="+", default=[], metavar="CAM", help="these only (default: all)")
-    film.add_argument("--fps", type=FRAME_RATE, metavar="HZ", help="frames a second (default: the take's)")
     verb("delete", delete, "move a take into the bin")
     back = of_all("restore", restore, "bring a deleted take back")
     back.add_argument("take", help="its name")
-    back.add_argument("--name", default="", help="under this name")
     of_all("bin", show_bin, "what is in the bin")
     gone = of_all("empty", empty, "remove what is in the bin for good")
-    gone.add_argument("--yes", action="store_true", help="without asking")
+    gone.add_argument("--yes", action="store_true", help="really")
     verb("measure", measure_anew, "measure a take's figures anew (or those of an old bag), and keep them")
 
 
@@ -169,7 +166,7 @@ def video(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Write a video of a take."""
     take = folder.find(name)
     path = Path(args.output) if args.output else take.path / EXPORTS / VIDEO
-    frames = write_video(take, path, args.cameras, args.fps, doing("drawing frames"))
+    frames = write_video(take, path, doing("drawing frames"))
     print(f"{path}: {frames} frames, {path.stat().st_size / MIB:.1f} MB")
     return 0
 
@@ -184,7 +181,7 @@ def delete(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
 
 def restore(args: argparse.Namespace) -> int:
     """Bring a deleted take back."""
-    print(f"{TakesFolder(Path(args.takes)).restore(args.take, args.name)} is back")
+    print(f"{TakesFolder(Path(args.takes)).restore(args.take)} is back")
     return 0
 
 
@@ -204,11 +201,7 @@ def empty(args: argparse.Namespace) -> int:
     folder = TakesFolder(Path(args.takes))
     count = len(folder.deleted())
     if count and not args.yes:
-        if not sys.stdin.isatty():
-            raise InputError(f"{count} takes would be removed for good", where="the bin", remedy="Say so: --yes.")
-        if input(f"remove {count} takes for good? [y/N] ").strip().lower() not in ("y", "yes"):
-            print("nothing was removed")
-            return 0
+        raise InputError(f"{count} takes would be removed for good", where="the bin", remedy="Say so: --yes.")
     print(f"removed {len(folder.empty_bin())} takes for good")
     return 0
 

@@ -93,28 +93,20 @@ def train_backgrounds(
         report = training_report_of(diagnostics, name)
         return report if _number(report) > before[name] else None
 
-    def inferred(silent: set[str]) -> dict[str, Trigger.Response]:
-        """Responses of silent services whose client reports that its training has ended."""
-        reports = {service: new_report(service.removesuffix(f"/{SERVICE}")) for service in silent}
-        return {
-            service: Trigger.Response(success=report.grade != REDO, message=report.text)
-            for service, report in reports.items()
-            if report is not None
-        }
+    def unknown(service: str) -> bool:
+        return wanted() and new_report(service.removesuffix(f"/{SERVICE}")) is None
 
     requests = {f"{name}/{SERVICE}": Trigger.Request() for name in names}
-    replies = call_all(node, Trigger, requests, timeout_s, lambda service: wanted(), inferred=inferred)
-    answers = {name: replies[f"{name}/{SERVICE}"] for name in names}
+    replies = call_all(node, Trigger, requests, timeout_s, unknown)
+    answered = [name for name in names if replies[f"{name}/{SERVICE}"] is not None]
+    diagnostics.wait_until(lambda: all(map(new_report, answered)), ANSWER_S)
+    silence = "did not answer" + ("" if wanted() else " before it was cancelled")
 
     def outcome(name: str) -> TrainingOutcome:
-        answer, report = answers[name], new_report(name)
-        said = silence if answer is None else answer.message
-        its_own = answer is not None and report is not None and report.text == answer.message
-        return TrainingOutcome(label_of(name), said, report if its_own else None)
+        reply, report = replies[f"{name}/{SERVICE}"], new_report(name)
+        said = report.text if report is not None else silence if reply is None else reply.message
+        return TrainingOutcome(label_of(name), said, report)
 
-    silence = "did not answer" + ("" if wanted() else " before it was cancelled")
-    answered = [name for name in names if answers[name] is not None]
-    diagnostics.wait_until(lambda: all(outcome(name).report is not None for name in answered), ANSWER_S)
     return list(map(outcome, names))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -23,7 +24,7 @@ STALE_S = 3 * PERIOD_S
 BUDGET_PERIODS = 1.5  # from exposure to joint state, in periods of the frame sets, for 95 % of them
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
 LOSS_WORDS = (*_LOSSES.split(), "control_losses")
-MOST_DIGITS = 18  # of a counter: of longer ones, which no node sends, Python may refuse to make a number
+COUNT = re.compile(r"[0-9]{1,18}")
 LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
 
 
@@ -39,8 +40,7 @@ class NodeReport:
 
     def losses(self) -> dict[str, int]:
         """Return the counters above zero of input or work that was lost."""
-        numbers = {key: text for key, text in self.values.items() if text.isascii() and text.isdigit()}
-        counters = {key: int(text) for key, text in numbers.items() if len(text) <= MOST_DIGITS}
+        counters = {key: int(text) for key, text in self.values.items() if COUNT.fullmatch(text)}
         return {k: n for k, n in counters.items() if n and any(word in k for word in LOSS_WORDS)}
 
 

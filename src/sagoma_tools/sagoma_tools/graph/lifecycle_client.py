@@ -7,9 +7,7 @@ or a second graph would drive the first one's nodes.
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -18,7 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
-from . import ANSWER_S, LOOK_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
+from . import ANSWER_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
 from .ros_link import call_all, is_camera, node_names, settled
 
 
@@ -43,31 +41,20 @@ TRANSITIONS = {
 @dataclass
 class Outcome:
     """What came of a command, by full node name: the state that each node acknowledged last, and why one did not go on
-    ("/hull_server: configure refused"); ``silent`` are those that did not answer."""
+    ("/hull_server: configure refused")."""
 
     reached: dict[str, State] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
-    silent: set[str] = field(default_factory=set)
 
     def fail(self, node: str, asked: str, said: str | None) -> None:
         """Note that a node did not do what it was asked for, and what it said; None: nothing."""
         self.failures[node] = f"{node}: {asked} {said or 'did not answer'}"
-        if said is None:
-            self.silent.add(node)
 
 
 def next_on_the_way(state: State, goal: State) -> State:
     """Return the state that lies next on the way to another one."""
     here, there = STATES.index(state), STATES.index(goal)
     return STATES[here + (1 if there > here else -1)]
-
-
-def groups_of(names: Iterable[str], cameras_first: bool) -> list[list[str]]:
-    """Return camera clients and server's nodes (full names) as two groups: cameras last on the way up, first down."""
-    groups: list[list[str]] = [[], []]
-    for name in names:
-        groups[is_camera(name) != cameras_first].append(name)
-    return groups
 
 
 class LifecycleClient:
@@ -84,9 +71,15 @@ class LifecycleClient:
         return {_owner(service): reply and reply.current_state.label for service, reply in replies.items()}
 
     def bring(
-        self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
+        self,
+        nodes: Collection[str],
+        goal: State,
+        cameras_first: bool = False,
+        timeout_s: float | None = None,
+        contact_s: float = ANSWER_S,
     ) -> Outcome:
-        """Bring every node to ``goal`` from its present state, group after group, a group's nodes in step.
+        """Bring every node (full names) to ``goal`` from its present state: cameras last on the way up, or first on the
+        way down, and each kind in step.
 
         timeout_s : for each answer; None: as long as a node that starts may take on the way up (it learns a background,
         opens a camera, at its very first start compiles), and one that stops on the way down. contact_s : how long a
@@ -94,8 +87,9 @@ class LifecycleClient:
         keeps its state; the others go on.
         """
         outcome = Outcome()
-        for group in groups:
+        for cameras in (cameras_first, not cameras_first):
             moving = {}
+            group = [name for name in nodes if is_camera(name) == cameras]
             for name, label in self.states(group, contact_s).items():
                 if label in STATES:
                     moving[name] = State(label)
@@ -145,26 +139,7 @@ def _owner(service: str) -> str:
 # nodes of a graph's names that other processes run --------------------------------------------------------------------
 
 
-def living_nodes(node: Node, names: Collection[str], cancel: threading.Event) -> list[str]:
-    """Return which of these names nodes have already, before any of our own does.
-
-    Not of those that end within ANSWER_S; who answers nothing may have died, and has PATIENCE_S to be forgotten.
-    """
-
-    def look() -> set[str]:
-        return {*node_names(node)}.intersection(names)
-
-    settled(look, 0, ANSWER_S)
-    lifecycle, start_s = LifecycleClient(node), time.monotonic()
-    while (found := look()) and not cancel.is_set():
-        passed_s = time.monotonic() - start_s
-        if passed_s > PATIENCE_S or (passed_s > ANSWER_S and any(lifecycle.states(found, ROUND_S).values())):
-            break
-        cancel.wait(LOOK_S)
-    return sorted(found)
-
-
-def run_already(names: Iterable[str]) -> str:
-    """Say which nodes run already, and what to do about it."""
-    remedy = "End that graph, or give this one another ROS_DOMAIN_ID (or, launched, a namespace:=NAME)"
-    return f"{', '.join(names)} run already in this ROS domain. {remedy}."
+def living_nodes(node: Node, names: Collection[str]) -> list[str]:
+    """Return which of these names nodes have that answer, before any of our own does: dead ones are seen, too."""
+    found = settled(lambda: {*node_names(node)}.intersection(names), 0, ANSWER_S)
+    return [name for name, label in LifecycleClient(node).states(found).items() if label]

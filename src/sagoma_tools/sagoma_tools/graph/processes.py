@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import os
 import signal
 import subprocess
@@ -21,13 +20,10 @@ import psutil
 from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import NodeSpec, ProcessSpec, processes_of
 
-from . import ROUND_S
-
 GRACE_S, REAP_S = 8.0, 5.0  # to end after SIGINT, and after SIGKILL
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
-SHARED_MEMORY = Path("/dev/shm")
 PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None)
 
@@ -106,7 +102,8 @@ class Child:
         return not self._ended.is_set()
 
     @property
-    def returncode(self) -> int | None:
+    def returncode(self) -> int:
+        """Once it has ended."""
         return self._process.returncode
 
     def log_tail(self, lines: int = 15) -> str:
@@ -163,8 +160,7 @@ def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus
             child.kill()
         elif not found[child] and child.returncode not in (0, -signal.SIGINT):
             found[child] = FAILED
-    codes = {child: -signal.SIGKILL if child.returncode is None else child.returncode for child in children}
-    return tuple(ExitStatus(child.name, how, codes[child]) for child, how in found.items())
+    return tuple(ExitStatus(child.name, how, child.returncode) for child, how in found.items())
 
 
 def busy_machine() -> str:
@@ -174,37 +170,16 @@ def busy_machine() -> str:
     return busy if load > processors else ""
 
 
-def remove_abandoned_memory() -> None:
-    """Delete Fast DDS's segments in /dev/shm whose owner has died: megabytes with each crash.
-
-    Their owner holds a lock on a file beside the segment. Ports, which are small and shared by all domains, stay: to
-    delete one that another process takes at this moment makes that process deaf to the names of nodes.
-    """
-    for lock in SHARED_MEMORY.glob("fastrtps_*_el"):
-        with contextlib.suppress(OSError):  # its owner lives, or it is not ours
-            if lock.name.startswith("fastrtps_port") or time.time() - lock.stat().st_mtime < ROUND_S:
-                continue  # one this young may not have its owner's lock yet
-            with lock.open("rb") as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
-                lock.unlink()
-
-
 class ProcessGroup:
     """The processes of one graph, each with one log and one parameter file in the run folder."""
 
     def __init__(
-        self,
-        graph: Sequence[NodeSpec],
-        run_folder: Path,
-        server: str,
-        domain_id: int | None,
-        on_exit: Callable[[ProcessSpec, Child], None],
+        self, graph: Sequence[NodeSpec], run_folder: Path, server: str, on_exit: Callable[[ProcessSpec, Child], None]
     ) -> None:
         """``on_exit`` is called, from another thread, for every process that ends by itself."""
         self.specs = tuple(processes_of(graph, server))
         self._labels = {node.full_name: spec.label for spec in self.specs for node in spec.nodes}
-        self._run_folder, self._domain_id, self._on_exit = run_folder, domain_id, on_exit
+        self._run_folder, self._on_exit = run_folder, on_exit
         self._children: dict[str, Child] = {}
 
     def start_all(self) -> None:
@@ -221,8 +196,6 @@ class ProcessGroup:
         command += ["--params-file", str(self._path(spec, "yaml"))]
         env = {**THREADS_ENV, **os.environ, **LOG_ENV}
         env["ROS_LOG_DIR"] = str(self._run_folder / "ros_log")
-        if self._domain_id is not None:
-            env["ROS_DOMAIN_ID"] = str(self._domain_id)
         log = self._path(spec, "log")
         child = Child(spec.label, command, log, env, lambda child: self._on_exit(spec, child))
         self._children[spec.label] = child

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
@@ -104,18 +104,16 @@ def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[st
     return sorted(found)
 
 
-def find_nodes(
-    look: Callable[[], set[str]], what: str, count: int, wait_s: float, names: Set[str] = frozenset()
-) -> list[str]:
+def find_nodes(look: Callable[[], set[str]], what: str, count: int, wait_s: float) -> list[str]:
     """Return the nodes that ``look`` finds, sorted, once there are ``count`` and none has joined for a second.
 
-    Raises InputError, which names those of ``names`` that are not there, when there are fewer after ``wait_s``.
+    Raises InputError when there are fewer after ``wait_s``.
     """
     found = settled(look, count, wait_s)
     if len(found) < count:
-        absent = f": {', '.join(sorted(names - {*found}))} not there" if names else ""
+        there = f" ({', '.join(found)})" if found else ""
         remedy = "Start them (sagoma up); are they not heard? sagoma doctor --live --host ADDRESS."
-        raise InputError(f"found {len(found)} {what}, expected {count}{absent}", where="the ROS graph", remedy=remedy)
+        raise InputError(f"found {len(found)} {what}{there}, expected {count}", where="the ROS graph", remedy=remedy)
     return found
 
 

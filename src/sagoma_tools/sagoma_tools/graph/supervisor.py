@@ -12,21 +12,20 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
 
-from capture_rig.errors import InputError
 from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, Role
 
-from . import ANSWER_S, LOOK_S, ROUND_S, START_TIMEOUT_S, GraphError
+from . import ANSWER_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import LifecycleClient, Outcome, State, groups_of, living_nodes, run_already
-from .processes import Child, ExitStatus, ProcessGroup, busy_machine, remove_abandoned_memory
-from .ros_link import RosLink, node_names
+from .lifecycle_client import LifecycleClient, Outcome, State, living_nodes
+from .processes import Child, ExitStatus, ProcessGroup, busy_machine
+from .ros_link import RosLink
 
 RESTARTING, DEAD = "restarting", "dead"
 TRACKER = "icp_tracker"
@@ -53,7 +52,6 @@ class Supervisor:
         run_folder: str | Path,
         server: str = ONE_PROCESS,
         *,
-        domain_id: int | None = None,
         cancel: threading.Event | None = None,
         on_event: Callable[[ProcessEvent], None] = lambda event: None,
         restart_delay_s: float | None = None,
@@ -62,7 +60,6 @@ class Supervisor:
 
         run_folder : gets one log and one parameter file a process; made when missing.
         server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
-        domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         restart_delay_s : once the graph is active, processes that crash are started again after this and become active
             by themselves, but for cameras that read files: their place in the footage is lost. None: they stay dead.
@@ -71,10 +68,10 @@ class Supervisor:
         self.graph = tuple(graph)
         if restart_delay_s is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
-        self.processes = ProcessGroup(self.graph, self.run_folder, server, domain_id, self._on_exit)
+        self.processes = ProcessGroup(self.graph, self.run_folder, server, self._on_exit)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome()
-        self._domain_id, self._on_event, self._restart_delay_s = domain_id, on_event, restart_delay_s
+        self._on_event, self._restart_delay_s = on_event, restart_delay_s
         self._cancel, self._halted = cancel or threading.Event(), threading.Event()
         self._running = False
         self._lock = threading.RLock()  # held while a process is started, and while states change
@@ -102,13 +99,14 @@ class Supervisor:
 
         GraphError when nodes of the same names run already: two graphs would mix their messages. Nothing is started.
         """
-        self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
+        self._link = RosLink("sagoma_supervisor")
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
             names = {spec.full_name for spec in self.graph}
-            if running := living_nodes(self.node, names, self._cancel):
-                raise GraphError(run_already(running))
+            if running := living_nodes(self.node, names):
+                remedy = "End that graph, or give this one another ROS_DOMAIN_ID (or, launched, a namespace:=NAME)"
+                raise GraphError(f"{', '.join(running)} run already in this ROS domain. {remedy}.")
             self.processes.start_all()
         except BaseException:
             self.stop()
@@ -124,27 +122,22 @@ class Supervisor:
         with self._lock:
             self._halted.set()
         self.stop_outcome = self.suspend()
-        cleaned = self._bring(self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, ANSWER_S)
+        cleaned = self._bring(State.INACTIVE, State.UNCONFIGURED, cameras_first=True, timeout_s=ANSWER_S)
         self.stop_outcome.failures |= cleaned.failures
         self.exit_statuses = self.processes.stop()
         self._link.close()
         self._link = None
-        remove_abandoned_memory()
         return self.exit_statuses
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
-        """Connect every node. Raises GraphError when one of the server fails, or every camera (any, if not tolerated).
-
-        GraphError, too, before any is asked, when nodes of the same names have come meanwhile.
-        """
-        self._await_own_nodes()
-        outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
+        """Connect every node. GraphError when one of the server's fails, or every camera (any, if not tolerated)."""
+        outcome = self._bring(State.UNCONFIGURED, State.INACTIVE, contact_s=START_TIMEOUT_S)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
         return outcome
 
     def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Start every configured node, the cameras last; GraphError as for :meth:`configure`."""
-        outcome = self._bring(self._in(State.INACTIVE), State.ACTIVE)
+        outcome = self._bring(State.INACTIVE, State.ACTIVE)
         self._check(State.ACTIVE, outcome, tolerate_cameras)
         with self._lock:
             self._running = True
@@ -157,7 +150,7 @@ class Supervisor:
     def suspend(self) -> Outcome:
         """Deactivate every active node, the cameras first; what dies from now on stays dead."""
         self._running = False
-        return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, ANSWER_S)
+        return self._bring(State.ACTIVE, State.INACTIVE, cameras_first=True, timeout_s=ANSWER_S)
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
@@ -174,19 +167,25 @@ class Supervisor:
     # crashes ----------------------------------------------------------------------------------------------------------
 
     def _on_exit(self, process: ProcessSpec, child: Child) -> None:
-        """Report a process that has ended by itself and start it again, on the thread that watched it."""
+        """Report a process that has ended by itself and start it again, on the thread that watched it: unless somebody
+        asked it to end, or it reads footage, in which its place is lost."""
         exited_s, names = time.monotonic(), [node.full_name for node in process.nodes]
         with self._lock:
-            why_not = self._why_no_restart(process, child)
-            delay_s = None if why_not else self._restart_delay_s
+            delay_s = self._restart_delay_s if self._running and not self._halted.is_set() else None
+            if child.returncode == 0 or any(map(reads_file, process.nodes)):
+                delay_s = None
             self._states |= dict.fromkeys(names, DEAD if delay_s is None else RESTARTING)
-        next_step = f"no restart: {why_not}" if delay_s is None else f"restart in {delay_s:g} s"
+        next_step = "no restart" if delay_s is None else f"restart in {delay_s:g} s"
         text = f"{process} (pid {child.pid}) died: {reason_of(child.returncode)}; {next_step}"
         self._on_event(ProcessEvent(process, child.pid, text, False, f"the end of {child.log}:\n{child.log_tail()}"))
         if delay_s is None or self._halted.wait(delay_s):
             return
-        again = self._start_again(process)
-        while again is not None and again.alive and not self._halted.wait(ROUND_S):
+        with self._lock:
+            if self._halted.is_set():
+                return
+            again = self.processes.start(restarted(process))
+            self._states |= dict.fromkeys(names, State.UNCONFIGURED)
+        while again.alive and not self._halted.wait(ROUND_S):
             if set(self.lifecycle.states(names, ROUND_S).values()) == {State.ACTIVE}:
                 with self._lock:
                     self._states |= dict.fromkeys(names, State.ACTIVE)
@@ -194,55 +193,14 @@ class Supervisor:
                 self._on_event(ProcessEvent(process, again.pid, text, True))
                 return
 
-    def _why_no_restart(self, process: ProcessSpec, child: Child) -> str:
-        """Say why a process that has ended is not started again; empty when it is."""
-        if self._restart_delay_s is None:
-            return "nobody asked for restarts"
-        if not self._running or self._halted.is_set():
-            return "the graph is not active"
-        if child.returncode == 0:
-            return "somebody asked it to end"
-        return "it reads footage, and its place in it is lost" if any(map(reads_file, process.nodes)) else ""
-
-    def _start_again(self, process: ProcessSpec) -> Child | None:
-        """Start a process whose nodes become active by themselves; None when the graph is stopped meanwhile."""
-        remove_abandoned_memory()
-        while True:
-            with self._lock:
-                if self._halted.is_set():
-                    return None
-                try:
-                    child = self.processes.start(restarted(process))
-                    self._states |= {node.full_name: State.UNCONFIGURED for node in process.nodes}
-                    return child
-                except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
-                    pass
-            self._halted.wait(self._restart_delay_s)
-
     # lifecycle --------------------------------------------------------------------------------------------------------
 
-    def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
-        """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
-        return groups_of((name for name, now in self.states().items() if now == state), cameras_first)
-
-    def _bring(
-        self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
-    ) -> Outcome:
-        outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
+    def _bring(self, state: State, goal: State, **options: Any) -> Outcome:
+        """Bring the nodes that are in ``state`` to ``goal``; options as of `LifecycleClient.bring`."""
+        outcome = self.lifecycle.bring([name for name, now in self.states().items() if now == state], goal, **options)
         with self._lock:
             self._states |= outcome.reached
         return outcome
-
-    def _await_own_nodes(self) -> None:
-        """Wait until the nodes of every living process are known. GraphError for a name that others have, too."""
-        deadline_s = time.monotonic() + START_TIMEOUT_S
-        while time.monotonic() < deadline_s:
-            known, ours = Counter(node_names(self.node)), self.processes.pids()
-            if twice := [name for name in ours if known[name] > 1]:
-                raise GraphError(run_already(twice))
-            if not any(self._should_wait_for(name) for name in ours if not known[name]):
-                return
-            self._cancel.wait(LOOK_S)
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
@@ -257,7 +215,7 @@ class Supervisor:
         what = outcome.failures.get(spec.full_name, f"{spec.full_name} is {state}")
         if state == DEAD:
             what = f"{spec.full_name} has died (status {child.returncode})"
-        elif spec.full_name in outcome.silent and (busy := busy_machine()):
+        elif busy := busy_machine():
             what += f"; {busy}"
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{what}; the end of {child.log.name}:\n    {tail}"
@@ -280,12 +238,12 @@ class ProcessEvent:
     log_tail: str = ""
 
 
-def reason_of(returncode: int | None) -> str:
+def reason_of(returncode: int) -> str:
     """Return exit status or signal, and what it mostly means."""
-    if returncode is None or returncode >= 0:
+    if returncode >= 0:
         return f"exit status {returncode}"
-    known = {number.value: f"{number.name}{LIKELY.get(number, '')}" for number in signal.Signals}
-    return f"killed by {known.get(-returncode, f'signal {-returncode}')}"
+    number = signal.Signals(-returncode)
+    return f"killed by {number.name}{LIKELY.get(number, '')}"
 
 
 def with_kept_backgrounds(graph: Sequence[NodeSpec], folder: Path) -> tuple[NodeSpec, ...]:

@@ -37,15 +37,13 @@ LOSSLESS = QoSProfile(
 @dataclass(frozen=True)
 class Topic:
     """One topic: absolute name, message type, whether a lockstep replay repeats its bytes exactly, whether the last
-    message is kept for later subscribers, whether it comes with a person, who may never come, and whether its publisher
-    sends nothing twice."""
+    message is kept for later subscribers, and whether it comes with a person, who may never come."""
 
     name: str
     msgtype: str
     repeatable: bool = True
     latched: bool = False
     of_person: bool = False
-    best_effort: bool = False
 
     @property
     def qos(self) -> QoSProfile:
@@ -53,7 +51,7 @@ class Topic:
         return QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=LOSSLESS.depth,  # also of what is kept: /tf_static has several publishers, which all keep their own
-            reliability=ReliabilityPolicy.BEST_EFFORT if self.best_effort else ReliabilityPolicy.RELIABLE,
+            reliability=ReliabilityPolicy.RELIABLE,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE,
         )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
@@ -18,7 +18,6 @@ from statistics import median
 from typing import Any, TypeVar
 
 from rclpy.serialization import deserialize_message
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_typestore
 
@@ -90,23 +89,6 @@ class TopicDigest:
     sha256: str
 
 
-@dataclass(frozen=True)
-class Difference:
-    """Where two bags first differ on a topic: message index, and byte (None: one bag has no such message)."""
-
-    topic: str
-    index: int
-    byte: int | None
-    count_a: int
-    count_b: int
-
-    def __str__(self) -> str:
-        counts = f"{self.count_a} and {self.count_b} messages"
-        if self.byte is None:
-            return f"{self.topic}: {counts}; all agree up to the shorter's end"
-        return f"{self.topic}: message {self.index} (of {counts}) differs first, from byte {self.byte} on"
-
-
 def header_stamp_ns(data: bytes) -> int:
     """Stamp of a serialized message that starts with a Header: CDR puts sec, nanosec behind 4 lead-in bytes."""
     order = "<" if data[1] & 1 else ">"
@@ -121,21 +103,11 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
     if not os.path.exists(bag):  # also of a path that is too long
         raise InputError("there is no such bag", where=str(bag), remedy="Give the folder that holds metadata.yaml.")
     if bag.is_dir() and not (bag / METADATA).exists():
-        mcap = bool(list(bag.glob("*.mcap")))
-        raise InputError(
-            "has no metadata.yaml",
-            where=str(bag),
-            remedy=f"Its writer was killed: run `sagoma recover {bag}`."
-            if mcap
-            else "Give the folder of a rosbag2 bag.",
-        )
-    if (bag / METADATA).is_file():
-        read_mapping(bag / METADATA, RECOVER)  # within limits; what it means is for the reader
+        remedy = f"Give a bag's folder; where its writer was killed, run `sagoma recover {bag}`."
+        raise InputError("has no metadata.yaml", where=str(bag), remedy=remedy)
     try:
-        reader = _Reader(bag)
+        reader = Reader(bag)
         reader.open()
-    except InputError:
-        raise
     except Exception as error:  # a damaged index makes the reader raise anything
         raise _unreadable(bag, error) from error
     try:
@@ -143,19 +115,6 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
         yield reader
     finally:
         reader.close()
-
-
-class _Reader(Reader):
-    """A reader whose every trouble with damaged bytes is an InputError."""
-
-    def messages(
-        self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
-    ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Yield (connection, log time ns, bytes) in log order. Raises InputError."""
-        try:
-            yield from super().messages(connections, start, stop)
-        except Exception as error:
-            raise _unreadable(str(self.path), error) from error
 
 
 def _unreadable(bag: str | Path, error: Exception) -> InputError:
@@ -186,8 +145,11 @@ def read_messages(bag: str | Path, wanted: Callable[[str], bool] = lambda topic:
         connections = [c for c in reader.connections if wanted(c.topic)]
         if not connections:
             return
-        for connection, log_ns, data in reader.messages(connections):
-            yield BagMessage(connection.topic, connection.msgtype, log_ns, bytes(data), str(bag))
+        try:
+            for connection, log_ns, data in reader.messages(connections):
+                yield BagMessage(connection.topic, connection.msgtype, log_ns, bytes(data), str(bag))
+        except Exception as error:
+            raise _unreadable(bag, error) from error
 
 
 def read_provenance(bag: str | Path) -> Mapping[str, Any]:
@@ -292,18 +254,17 @@ def default_comparison(bag: str | Path) -> tuple[str, ...]:
     return tuple(topic.name for topic in (*OUTPUT_TOPICS, *of_persons) if topic.repeatable and topic.name in present)
 
 
-def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> Difference | None:
-    """The first message of ``topic`` that differs between two bags, undefined bytes apart; None when all agree."""
-    streams = (read_messages(bag, topic.__eq__) for bag in (bag_a, bag_b))
-    count_a = count_b = 0
-    found: tuple[int, int | None] | None = None
-    for index, (a, b) in enumerate(zip_longest(*streams)):
-        count_a, count_b = count_a + (a is not None), count_b + (b is not None)
-        if found is None and (a is None or b is None):
-            found = index, None
-        elif found is None and a.data != b.data:
-            found = _position(index, *(canonical_bytes(m.data, m.msgtype) for m in (a, b)))
-    return None if found is None else Difference(topic, *found, count_a, count_b)
+def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> str:
+    """Say where two bags first differ on a topic, undefined bytes apart: message and byte; empty when all agree."""
+    pairs = zip_longest(*(read_messages(bag, topic.__eq__) for bag in (bag_a, bag_b)))
+    for number, (a, b) in enumerate(pairs):
+        if a is None or b is None:
+            return f"{topic}: {bag_a if a is None else bag_b} ends after {number} messages, which all agree"
+        data_a, data_b = (canonical_bytes(message.data, message.msgtype) for message in (a, b))
+        if data_a != data_b:
+            byte = next((k for k, (x, y) in enumerate(zip(data_a, data_b, strict=False)) if x != y), "the end")
+            return f"{topic}: message {number} differs first, from byte {byte} on"
+    return ""
 
 
 def canonical_bytes(data: bytes, msgtype: str) -> bytes:
@@ -312,10 +273,3 @@ def canonical_bytes(data: bytes, msgtype: str) -> bytes:
         with suppress(Exception):  # of damaged bytes, whatever the parser raises
             return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data[:end], msgtype), msgtype))
     return data
-
-
-def _position(index: int, a: bytes, b: bytes) -> tuple[int, int | None] | None:
-    """Return (message, byte) where two messages differ, None when they do not."""
-    if a == b:
-        return None
-    return index, next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))

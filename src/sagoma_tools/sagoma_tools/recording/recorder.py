@@ -7,26 +7,21 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_path
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import get_types_from_msg
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
 
 from ..graph import ANSWER_S, PATIENCE_S
-from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, topics_of
+from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, settled, topics_of
 from ..graph.topics import (
     DIAGNOSTICS,
     FIRST_BODY_ID,
@@ -40,11 +35,11 @@ from ..graph.topics import (
     persons_in,
     topics_of_others,
 )
-from .reader import TYPES, canonical_bytes, header_stamp_ns
+from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
-SETTLE_S = 0.3  # a publisher discovers a subscription a little later than the other way round; how often one looks
+NEWCOMERS_S = 0.3  # how often a recorder looks for cameras and persons who have come
 
 
 class Recorder:
@@ -70,7 +65,6 @@ class Recorder:
         self._writer, self.folder = BagWriter(folder), Path(folder)
         self._arrived = threading.Condition()
         self._last_stamp_ns: dict[str, int] = {}
-        self._publishers: dict[str, int] = {}
         self._open = True
         self.failure: InputError | None = None
         self._on_failure = on_failure
@@ -98,28 +92,20 @@ class Recorder:
             partial(self._on_message, topic, has_header(topic.msgtype)),
             topic.qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(matched=partial(self._on_match, topic.name)),
         )
 
-    def follow(self, appeared: Callable[[], Iterable[Topic]] | None = None) -> None:
-        """Look every SETTLE_S for topics to record too: those that ``appeared`` returns, by default those of cameras
-        that publish silhouettes, and of persons."""
+    def follow(self) -> None:
+        """Look every NEWCOMERS_S for cameras that publish silhouettes, and for persons, and record them too."""
 
         def add_all() -> None:
-            for topic in (appeared or self._newcomers)():
-                self.add(topic)
+            names = topics_of(self._node)
+            others = {*persons_in(names)} - {FIRST_BODY_ID}  # of whom all is below /mocap itself
+            for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, sorted(others))):
+                for topic in topics:
+                    self.add(topic)
 
         add_all()
-        self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
-        """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
-        names = tuple(topics)
-        with self._arrived:
-            self._arrived.wait_for(lambda: all(self._publishers.get(name) for name in names), timeout_s)
-            missing = tuple(name for name in names if not self._publishers.get(name))
-        threading.Event().wait(SETTLE_S)
-        return missing
+        self._discovery = self._node.create_timer(NEWCOMERS_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def wait_for_stamp(self, topic: str, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as a message of this (stamped) topic with this or a later stamp is written."""
@@ -184,21 +170,8 @@ class Recorder:
         if self.failure is not None:
             self._on_failure(self.failure)
 
-    def _on_match(self, name: str, info: Any) -> None:
-        with self._arrived:
-            self._publishers[name] = info.current_count
-            self._arrived.notify_all()
-
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
-
-    def _newcomers(self) -> Iterator[Topic]:
-        names = topics_of(self._node)
-        for camera in cameras_in(names):
-            yield from camera_topics(camera)
-        for body_id in persons_in(names):
-            if body_id != FIRST_BODY_ID:
-                yield from person_topics(body_id)
 
 
 def has_header(msgtype: str) -> bool:
@@ -216,7 +189,6 @@ class GraphRecorder(Recorder):
         bag: str | Path,
         *,
         topics: Iterable[Topic] | None = None,
-        domain_id: int | None = None,
         provenance: Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
@@ -227,20 +199,21 @@ class GraphRecorder(Recorder):
         self._recorded = tuple(everything if topics is None else topics)
         self._configuration = {node.full_name: dict(node.parameters) for node in graph}
         self._provenance = dict(provenance or {})
-        self._link = RosLink("sagoma_recorder", domain_id=domain_id)
+        self._link = RosLink("sagoma_recorder")
         try:
             super().__init__(self._link.node, bag, self._recorded, **options)
         except BaseException:
             self._link.close()
             raise
 
-    def wait_for_graph(self) -> tuple[str, ...]:
-        """Return once every topic but latched ones and persons' has a publisher; returns those that have none in time.
+    def wait_for_graph(self) -> None:
+        """Return once every topic but latched ones and persons' has a publisher, at the latest after PATIENCE_S.
 
         Nodes open their publishers when they are configured: call it between configure and activate. A publisher that
         is opened later finds this recorder listening, and its first message is recorded.
         """
-        return self.wait_for_publishers([t.name for t in self._recorded if not (t.latched or t.of_person)], PATIENCE_S)
+        names = {topic.name for topic in self._recorded if not (topic.latched or topic.of_person)}
+        settled(lambda: set(filter(self._link.node.count_publishers, names)), len(names), PATIENCE_S)
 
     def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
         """Finish the bag, with the nodes' parameters and rig; returns the messages by topic. May be called twice."""
@@ -281,68 +254,3 @@ def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> di
 def _plain(value: Any) -> Any:
     found = parameter_value_to_python(value)
     return found if found is None or isinstance(found, bool | int | float | str) else list(found)
-
-
-# topics that a user asks for by name ----------------------------------------------------------------------------------
-
-
-def matches_any(names: Iterable[str]) -> Callable[[str], bool]:
-    """Return whether a topic is one of ``names``, or below one: ``/humans`` are all that begin with ``/humans/``."""
-    wanted = tuple("/" + name.strip("/") for name in names)
-    return lambda topic: any(topic == name or topic.startswith(f"{name}/") for name in wanted)
-
-
-def asked_topics(
-    node: Node, wanted: Callable[[str], bool], on_unknown: Callable[[str, str], None]
-) -> Callable[[], list[Topic]]:
-    """Return a function that returns the wanted topics that have appeared in the graph since its last call.
-
-    ``on_unknown(topic, type)`` is called once for each that cannot be recorded: its type is not installed here.
-    """
-    seen = set[str]()
-
-    def new() -> list[Topic]:
-        found = []
-        for name, msgtype in topics_of(node).items():
-            if name in seen or not wanted(name):
-                continue
-            offered = [info.qos_profile for info in node.get_publishers_info_by_topic(in_graph(node, name))]
-            if not offered:  # nobody publishes it yet, so nobody says how
-                continue
-            seen.add(name)
-            if not is_known(msgtype):
-                on_unknown(name, msgtype)
-                continue
-            kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-            unreliable = any(qos.reliability == ReliabilityPolicy.BEST_EFFORT for qos in offered)
-            found.append(Topic(name, msgtype, repeatable=False, latched=kept, best_effort=unreliable))
-        return found
-
-    return new
-
-
-def is_known(msgtype: str) -> bool:
-    """Return whether messages of a type can be received and written here; learns its definition where installed."""
-    try:
-        message_class(msgtype)
-        if msgtype not in TYPES.fielddefs:
-            _learn(msgtype)
-    except (ImportError, AttributeError, ValueError, PackageNotFoundError, OSError):
-        return False
-    return True
-
-
-def _learn(msgtype: str) -> None:
-    """Add a type's definition, and those that it holds, from the package where it is installed."""
-    package, folder, name = msgtype.split("/")
-    text = (get_package_share_path(package) / folder / f"{name}.msg").read_text()
-    types = get_types_from_msg(text, msgtype)
-    TYPES.register(types)
-    for _, fields in types.values():
-        for _, described in fields:
-            kind: Any = described
-            while kind[0] not in (Nodetype.BASE, Nodetype.NAME):  # of an array, what it is of
-                kind = kind[1][0]
-            node, inner = kind
-            if node is Nodetype.NAME and str(inner) not in TYPES.fielddefs:
-                _learn(str(inner))

@@ -11,11 +11,9 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -73,30 +71,23 @@ def simulated_clock(node: Node) -> Callable[[int], None]:
 
 
 class InputPublishers:
-    """Publishes the topics of a bag reliably, and counts their subscribers."""
+    """Publishes the topics of a bag reliably."""
 
     def __init__(self, node: Node, topics: Mapping[str, str]) -> None:
         """``topics``: name -> message type."""
-        self._node, self._matched = node, threading.Condition()
-        self._subscribers = dict.fromkeys(topics, 0)
+        self._node = node
         self._publishers: dict[str, Publisher] = {
-            name: node.create_publisher(
-                message_class(msgtype),
-                name,
-                offered_qos(name),
-                event_callbacks=PublisherEventCallbacks(matched=partial(self._on_match, name)),
-            )
+            name: node.create_publisher(message_class(msgtype), name, offered_qos(name))
             for name, msgtype in topics.items()
         }
 
     def wait_for_subscribers(self, topics: Iterable[str], timeout_s: float) -> None:
         """Return once every one of ``topics`` has a subscriber; InputError names those that have none in time."""
-        names = tuple(topics)
-        with self._matched:
-            if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
-                missing = ", ".join(name for name in names if not self._subscribers[name])
-                remedy = f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and its rig's camera names."
-                raise InputError(f"no subscriber within {timeout_s:g} s", where=missing, remedy=remedy)
+        names = {*topics}
+        heard = settled(lambda: set(filter(self._node.count_subscribers, names)), len(names), timeout_s)
+        if missing := names.difference(heard):
+            remedy = f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and its rig's camera names."
+            raise InputError(f"no subscriber within {timeout_s:g} s", where=", ".join(sorted(missing)), remedy=remedy)
 
     def require_no_other(self, topics: Iterable[str]) -> None:
         """Raises InputError when another node publishes one of ``topics``, as a live camera does: bodies would leap
@@ -120,11 +111,6 @@ class InputPublishers:
         for camera in cameras_in(self._publishers):
             if camera not in frame_set.frames:
                 self._publishers[f"/{camera}{SILHOUETTE_SUFFIX}"].publish(absence_message(frame_set.stamp_ns))
-
-    def _on_match(self, name: str, info: Any) -> None:
-        with self._matched:
-            self._subscribers[name] = info.current_count
-            self._matched.notify_all()
 
 
 def timed_by_exposures(messages: Iterable[BagMessage], pictures: Collection[str]) -> Iterator[BagMessage]:
@@ -177,26 +163,21 @@ def play_timed(
 class LockstepReport:
     """The result of a lockstep replay.
 
-    sets : frame sets published; unanswered_ns : stamps of those that the EKF never answered; stray_answers : answers
-    to sets that were not sent; unrecorded : topics with one message a set that lack some in the recording.
+    sets : frame sets published; unanswered_ns : stamps of those that the EKF never answered; unrecorded : topics with
+    one message a set that lack some in the recording.
     """
 
     sets: int = 0
     unanswered_ns: list[int] = field(default_factory=list)
-    stray_answers: int = 0
-    last_stamp_ns: int = -1
     unrecorded: dict[str, int] = field(default_factory=dict)
 
 
 class Answers:
-    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp.
-
-    stamps : of the sets that were answered.
-    """
+    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp."""
 
     def __init__(self, node: Node) -> None:
         self._arrived = threading.Condition()
-        self.stamps: set[int] = set()
+        self._stamps: set[int] = set()
         self._subscription = node.create_subscription(
             MultiDOFJointState, PREDICTION_TOPIC, self._on_answer, LOSSLESS, raw=True
         )
@@ -204,11 +185,11 @@ class Answers:
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""
         with self._arrived:
-            return self._arrived.wait_for(lambda: stamp_ns in self.stamps, timeout_s)
+            return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
 
     def _on_answer(self, data: bytes) -> None:
         with self._arrived:
-            self.stamps.add(header_stamp_ns(data))
+            self._stamps.add(header_stamp_ns(data))
             self._arrived.notify_all()
 
 
@@ -226,7 +207,7 @@ def play_lockstep(
     A set that is not answered within ``timeout_s`` is noted and the next one follows; InputError when the very first
     one is not, since then the graph does not run or is not connected. ``cancel`` ends it between two sets.
     """
-    report, sent = LockstepReport(), set[int]()
+    report = LockstepReport()
     for frame_set in frame_sets:
         if cancel is not None and cancel.is_set():
             break
@@ -234,9 +215,7 @@ def play_lockstep(
             for message in frame:
                 publishers.publish(message)
         publishers.publish_absences(frame_set)
-        sent.add(frame_set.stamp_ns)
         report.sets += 1
-        report.last_stamp_ns = frame_set.stamp_ns
         progress(report.sets)
         if not answers.wait_for(frame_set.stamp_ns, timeout_s):
             report.unanswered_ns.append(frame_set.stamp_ns)
@@ -244,7 +223,6 @@ def play_lockstep(
                 what = f"no answer to the first frame set within {timeout_s:g} s"
                 remedy = "All of hull_server, icp_tracker and ekf_tracker must be active."
                 raise InputError(what, where=PREDICTION_TOPIC, remedy=remedy)
-    report.stray_answers = len(answers.stamps - sent)
     return report
 
 
@@ -267,7 +245,6 @@ def replay_through_graph(
     rig: str | Path | None = None,
     body: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
-    domain_id: int | None = None,
     cancel: threading.Event | None = None,
     server: str = ONE_PROCESS,
 ) -> LockstepReport:
@@ -282,14 +259,12 @@ def replay_through_graph(
     chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
-    with Supervisor(graph, run_folder, server, domain_id=domain_id, cancel=cancel) as supervisor:
+    with Supervisor(graph, run_folder, server, cancel=cancel) as supervisor:
         doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (
-            GraphRecorder(
-                graph, output, topics=server_topics(graph), domain_id=domain_id, provenance=made_from, canonical=True
-            ) as recorder,
-            RosLink("sagoma_replayer", domain_id=domain_id) as link,
+            GraphRecorder(graph, output, topics=server_topics(graph), provenance=made_from, canonical=True) as recorder,
+            RosLink("sagoma_replayer") as link,
         ):
             recorder.wait_for_graph()
             supervisor.activate()
@@ -298,7 +273,6 @@ def replay_through_graph(
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
             cameras = load_rig(rig_file).names
             report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
-            recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, PATIENCE_S)
             recorder.wait_until_quiet(ROUND_S, PATIENCE_S)
             report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.counts[t]) != 0}
     return report

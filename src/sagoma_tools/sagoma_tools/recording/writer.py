@@ -47,43 +47,29 @@ def require_new(folder: str | Path) -> Path:
 
 class ReservedFile:
     """A new file that is appended to, and room on its disk: once the disk is full, what is still to be written goes
-    there. ``failure`` is the error that the disk gave then; any other is raised, then and ever after."""
+    there. ``failure`` is the first error that the disk gave."""
 
     def __init__(self, path: Path) -> None:
         """Raises OSError when the file or its reserve cannot be made."""
         self.failure: OSError | None = None
-        self._broken: OSError | None = None
         self._reserve = path.parent / RESERVE
-        self._position = 0
         self._file = path.open("xb", buffering=0)
+        self.tell, self.flush, self.close = self._file.tell, self._file.flush, self._file.close
         with self._reserve.open("wb") as file:
             os.posix_fallocate(file.fileno(), 0, RESERVE_BYTES)
 
-    def tell(self) -> int:
-        """Return how many bytes were written."""
-        return self._position
-
     def write(self, data: bytes) -> int:
         """Append all of ``data``. Raises OSError when the reserve does not hold it either."""
-        if self._broken is not None:  # a record was cut off: nothing may follow it
-            raise self._broken
         left = memoryview(data)
         while left:
             try:
-                written = self._file.write(left)
+                left = left[self._file.write(left) :]
             except OSError as error:
                 if self.failure is not None or error.errno not in FULL:
-                    self._broken = error
                     raise
                 self.failure = error
                 self.release()
-                continue
-            self._position += written
-            left = left[written:]
         return len(data)
-
-    def flush(self) -> None:
-        """Do nothing: there is no buffer."""
 
     def release(self) -> None:
         """Give the reserve back to the disk."""
@@ -92,10 +78,6 @@ class ReservedFile:
     def sync(self) -> None:
         """Wait until the disk has what was written so far. Raises OSError."""
         os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
 
 class BagWriter:
@@ -118,7 +100,6 @@ class BagWriter:
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self.counts: dict[str, int] = {}
-        self._synced: dict[str, int] = {}
         self.failure: InputError | None = None
         try:
             self.folder.mkdir(parents=True)
@@ -201,14 +182,13 @@ class BagWriter:
                 self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
                 self._mcap.finish()
                 self._file.sync()
-            except OSError as error:
-                raise self._unfinished(error.strerror) from None
+                write_text(self.folder / METADATA, _yaml({"rosbag2_bagfile_information": information}) + "\n")
+            except (OSError, InputError) as error:
+                what = f"the bag's end cannot be written ({error}); {self._saved()}"
+                remedy = f"Free space on that disk, then run `sagoma recover '{self.folder}'`."
+                raise InputError(what, where=str(self.folder), remedy=remedy) from None
             finally:
                 self._file.close()
-            try:
-                write_text(self.folder / METADATA, _yaml({"rosbag2_bagfile_information": information}) + "\n")
-            except InputError as error:
-                raise self._unfinished(str(error)) from None
 
     def _information(self) -> dict[str, Any]:
         """Return what metadata.yaml says of the bag: version 9 of rosbag2."""
@@ -242,31 +222,20 @@ class BagWriter:
             with self._failing():
                 with self._lock:
                     self._mcap.flush()
-                    written = dict(self.counts)
                 self._file.sync()
-                self._synced = written
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
         """Remember once why nothing more is written: the disk is full, or failed."""
-        error = None
         try:
             yield
         except OSError as raised:
-            error = raised
+            self._file.failure = self._file.failure or raised
         with self._lock:
-            if error is not None:
-                self.counts = {**dict.fromkeys(self.counts, 0), **self._synced}  # what is certain
-            error = error or self._file.failure
-            if error is not None and self.failure is None:
+            if (error := self._file.failure) is not None and self.failure is None:
                 what = f"the recording has ended ({error.strerror}); {self._saved()}"
                 remedy = "Free space on that disk, or choose another, and record anew."
                 self.failure = InputError(what, where=str(self.folder), remedy=remedy)
-
-    def _unfinished(self, reason: str | None) -> InputError:
-        what = f"the bag's end cannot be written ({reason}); {self._saved()}"
-        remedy = f"Free space on that disk, then run `sagoma recover '{self.folder}'`."
-        return InputError(what, where=str(self.folder), remedy=remedy)
 
     def _saved(self) -> str:
         span_ns = self._last_ns - (self._first_ns or self._last_ns)

@@ -33,15 +33,21 @@ from .measure import measure
 from .take import Quality, Take
 
 Writer = Callable[[Motion, Path], None]
-FORMATS: Mapping[str, Mapping[str, Writer]] = {
-    "bvh": {"bvh": write_bvh},
-    "glb": {"glb": write_glb},
-    "c3d": {"c3d": write_c3d},
-    "trc": {"trc": write_trc},
-    "opensim": {"osim": write_osim, "mot": write_mot},
-    "csv": {"csv": write_csv},
-}
-"""Format -> the extensions of its files and who writes them."""
+
+
+def writers(constant_bones: bool = False, mass_kg: float | None = None) -> Mapping[str, Mapping[str, Writer]]:
+    """Return of each format the extensions of its files and who writes them."""
+    return {
+        "bvh": {"bvh": partial(write_bvh, constant_bones=constant_bones)},
+        "glb": {"glb": write_glb},
+        "c3d": {"c3d": write_c3d},
+        "trc": {"trc": write_trc},
+        "opensim": {"osim": partial(write_osim, mass_kg=mass_kg), "mot": write_mot},
+        "csv": {"csv": write_csv},
+    }
+
+
+FORMATS = tuple(writers())
 WITHOUT_GAPS = ("bvh", "opensim")
 EXPORTS = "export"
 """The folder in a take's folder into which its files go unless told otherwise."""
@@ -64,16 +70,11 @@ def export_take(
     person and file. Raises InputError for a take without a person, and for files that exist.
     """
     motions = recorded_motions(take, rate_hz)
-    writers: dict[str, Mapping[str, Writer]] = {
-        **FORMATS,
-        "bvh": {"bvh": partial(write_bvh, constant_bones=constant_bones)},
-    }
-    writers["opensim"] = {"osim": partial(write_osim, mass_kg=mass_kg), "mot": write_mot}
     planned = [
         (body_id, kind, folder / f"{motion.name}.{extension}", write)
         for body_id, motion in motions.items()
         for kind in dict.fromkeys(formats)
-        for extension, write in writers[kind].items()
+        for extension, write in writers(constant_bones, mass_kg)[kind].items()
     ]
     existing = [str(path) for _, _, path, _ in planned if path.exists()]
     if existing and not overwrite:
@@ -104,32 +105,25 @@ PICTURE_SUFFIXES = ("/image_raw", "/preview/compressed")
 """Topics of a camera's pictures, the better first."""
 ROOM_GREY, BODY_GREY, SHADOW_GREY = 38, 150, 75
 HEAD = POINT_NAMES.index("head")
+MOST_HZ = 60
 HOLD_S = 2.5 * PREVIEW_PERIOD_S
 """For so long a camera's last picture is shown: until two previews have not come."""
 
 
-def write_video(
-    take: Take,
-    path: Path,
-    cameras: Sequence[str] = (),
-    fps: float | None = None,
-    progress: Callable[[int, int], None] = lambda frame, frames: None,
-) -> int:
-    """Write a take's video in real time; returns its frames. ``cameras`` : only these; ``fps`` : else the take's rate.
+def write_video(take: Take, path: Path, progress: Callable[[int, int], None] = lambda frame, frames: None) -> int:
+    """Write a take's video in real time; returns its frames.
 
-    Raises InputError for a take without a rig or silhouettes, an unknown camera, and a path that exists.
+    Raises InputError for a take without a rig or silhouettes, and a path that exists.
     """
     if path.exists():
         raise InputError("exists already", where=str(path), remedy="Give another --output, or move it away.")
     quality = (take.summary or measure(take.path)).quality
-    views = _views(take, cameras)
+    views = _views(take)
     try:
         motions = recorded_motions(take.path)
     except InputError:
         motions = {}  # of a take without a person, the silhouettes
-    rate_hz = fps if fps is not None else min(quality.rate_hz, 60.0)
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise InputError(f"{rate_hz:g} frames a second are none", where="--fps", remedy="Give a number above 0.")
+    rate_hz = min(quality.rate_hz, MOST_HZ) or MOST_HZ  # one frame set has no rate
     frames = round(quality.seconds * rate_hz) + 1
     with VideoFile(path, rate_hz) as video:
         for frame, sheet in enumerate(sheets(take.name, views, motions, quality, rate_hz, frames)):
@@ -213,17 +207,17 @@ def _write_id(cell: np.ndarray, camera: CameraModel, points: np.ndarray, body_id
         write_name(cell, body_id, (round(head[0]) - 24, max(18, round(head[1]) - 12)))
 
 
-def _views(take: Take, wanted: Sequence[str]) -> list[View]:
+def _views(take: Take) -> list[View]:
     if (rig_file := rig_in(take.path)) is None:
         remedy = "Record with --rig, or copy the rig file there."
         what = f"has no {SIDECAR_RIG}: where the cameras stood is not known"
         raise InputError(what, where=str(take.path), remedy=remedy)
-    rig, recorded = load_rig(rig_file), cameras_in(take.topics)
-    unknown = [name for name in wanted if name not in recorded]
-    if unknown or not recorded:
-        what = f"holds no silhouettes of {', '.join(unknown) or 'any camera'}"
-        raise InputError(what, where=str(take.path), remedy=f"It has: {', '.join(recorded) or 'none'}.")
-    return [_view(take, rig.camera(name)) for name in (wanted or recorded)]
+    cameras = cameras_in(take.topics)
+    if not cameras:
+        remedy = "Record the cameras' topics, too."
+        raise InputError("holds no silhouettes of any camera", where=str(take.path), remedy=remedy)
+    rig = load_rig(rig_file)
+    return [_view(take, rig.camera(name)) for name in cameras]
 
 
 def _view(take: Take, camera: CameraModel) -> View:

@@ -80,19 +80,13 @@ class TakesFolder:
 
         Raises InputError for a name that is none, or that a take has already.
         """
-        name = check_name(name) if name.strip() else time.strftime(f"take-{SAME_DATE}")
-        path = self.path / name
-        if os.path.lexists(path):
-            raise InputError(f"there is a take '{name}' already", where=str(self.path), remedy="Choose another name.")
+        path = self._free(name if name.strip() else time.strftime(f"take-{SAME_DATE}"))
         self.path.mkdir(parents=True, exist_ok=True)
         return path
 
     def rename(self, name: str, new_name: str) -> Path:
         """Give a take another name. Raises InputError for a bad or taken name, and while it is being recorded."""
-        take = self._settled(name)
-        path = self.path / check_name(new_name)
-        move_new(take.path, path)
-        return path
+        return self._settled(name).path.rename(self._free(new_name))
 
     def delete(self, name: str) -> DeletedTake:
         """Move a take into the bin."""
@@ -100,8 +94,7 @@ class TakesFolder:
         when = time.strftime(SAME_DATE)
         (self.path / BIN).mkdir(exist_ok=True)
         path = self.path / BIN / f"{take.name}~{when}-{time.time_ns() % 1_000_000_000:09d}"
-        move_new(take.path, path)
-        return DeletedTake(path, take.name, when)
+        return DeletedTake(take.path.rename(path), take.name, when)
 
     def deleted(self) -> list[DeletedTake]:
         """Return what is in the bin, deleted last first."""
@@ -109,13 +102,11 @@ class TakesFolder:
         names.sort(key=lambda match: (match["when"], int(match["number"] or 0)), reverse=True)
         return [DeletedTake(self.path / BIN / match[0], match["name"], match["when"]) for match in names]
 
-    def restore(self, name: str, new_name: str = "") -> Path:
-        """Bring the take of this name that was deleted last back, under another name if wanted. Raises InputError."""
+    def restore(self, name: str) -> Path:
+        """Bring the take of this name that was deleted last back. Raises InputError."""
         for deleted in self.deleted():
             if name in (deleted.name, deleted.path.name):
-                path = self.path / (check_name(new_name) if new_name else deleted.name)
-                move_new(deleted.path, path)
-                return path
+                return deleted.path.rename(self._free(deleted.name))
         known = ", ".join(deleted.name for deleted in self.deleted()[:10]) or "nothing"
         raise InputError(f"'{name[:100]}' is not in the bin", where=str(self.path / BIN), remedy=f"There is: {known}.")
 
@@ -123,8 +114,20 @@ class TakesFolder:
         """Remove what is in the bin for good; returns it."""
         found = self.deleted()
         for deleted in found:
-            remove_folder(deleted.path)
+            if deleted.path.is_symlink():
+                deleted.path.unlink()  # not what it leads to
+            else:
+                shutil.rmtree(deleted.path)
         return found
+
+    def _free(self, name: str) -> Path:
+        """Return where a take of this name goes. Raises InputError for a name that is none, or that one has already."""
+        path = self.path / check_name(name)
+        if os.path.lexists(path):
+            raise InputError(
+                f"there is a take '{path.name}' already", where=str(self.path), remedy="Choose another name."
+            )
+        return path
 
     def _settled(self, name: str) -> Take:
         """Return a take that nobody writes to."""
@@ -155,35 +158,17 @@ def describe(path: Path) -> Take:
             if reader.message_count:
                 take = replace(take, began_ns=reader.start_time, seconds=reader.duration / 1e9)
         provenance = read_provenance(path)
-        software = provenance.get("software")
-        recorded_by = str(software.get("sagoma", "")) if isinstance(software, dict) else ""
-        trimmed = provenance.get("trimmed_from")
         return replace(
             take,
             topics=topics,
-            software=recorded_by,
-            trimmed_from=trimmed if isinstance(trimmed, dict) else None,
+            software=str(provenance.get("software", {}).get("sagoma", "")),
+            trimmed_from=provenance.get("trimmed_from"),
             summary=read_summary(path),
         )
     except Exception as error:  # a broken file may break its reader in any way, and one take must not hide the others
         what = f"cannot be read ({type(error).__name__}: {error})"
         other = InputError(what, where=str(path), remedy="Bring it back from a copy, or delete it.")
         return replace(take, state=TakeState.DAMAGED, problem=str(error if isinstance(error, InputError) else other))
-
-
-def move_new(source: Path, target: Path) -> None:
-    """Rename a take's folder. Raises InputError where something has the new name."""
-    if os.path.lexists(target):
-        raise InputError(f"there is a take '{target.name}' already", where=str(target.parent), remedy="Name it anew.")
-    source.rename(target)
-
-
-def remove_folder(path: Path) -> None:
-    """Remove a folder with all in it; of a link, the link alone."""
-    if path.is_symlink() or path.is_file():
-        path.unlink()
-    else:
-        shutil.rmtree(path)
 
 
 def _is_bag(path: Path) -> bool:
@@ -234,8 +219,7 @@ def trim(
             _copy(take.path, writer, begins_ns, ends_ns, progress)
             writer.describe(_provenance(take, from_s, to_s), rig_in(take.path))
         finish_take(beside)
-        move_new(beside, target)
-    return target
+        return beside.rename(target)
 
 
 def _part(summary: Summary, from_s: float, to_s: float | None, where: str) -> tuple[int, int]:

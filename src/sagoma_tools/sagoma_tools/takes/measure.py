@@ -241,19 +241,14 @@ def _messages(bag: Path, progress: Callable[[int], None]) -> Iterator[Check]:
     with open_bag(bag) as reader:
         promised = Counter({connection.topic: connection.msgcount for connection in reader.connections})
         found: Counter[str] = Counter()
-        last_ns = back = 0
-        for number, (connection, log_ns, _) in enumerate(reader.messages()):
+        for number, (connection, _, _) in enumerate(reader.messages()):
             found[connection.topic] += 1
-            back += log_ns < last_ns
-            last_ns = log_ns
             progress(number)
     missing = {topic: count - found[topic] for topic, count in promised.items() if count != found[topic]}
     for topic, count in missing.items():
         yield Check(ERROR, f"{topic}: {count} of the messages that the index promises are missing")
-    if back:
-        yield Check(ERROR, f"{back} messages are logged before their predecessors")
-    if not missing and not back:
-        yield Check(OK, f"all {found.total()} messages on {len(promised)} topics can be read, in order")
+    if not missing:
+        yield Check(OK, f"all {found.total()} messages on {len(promised)} topics can be read")
 
 
 def _rig(take: Take) -> Iterator[Check]:
@@ -268,17 +263,12 @@ def _rig(take: Take) -> Iterator[Check]:
 
 
 def _summary(take: Take) -> Iterator[Check]:
-    now = measure(take.path)
-    stored = take.summary
-    if stored is None:
+    if take.summary is None:
         yield Check(WARNING, "has no figures: its recorder was killed (`sagoma takes measure` writes them)")
         return
-    changed = [name for name in {*stored.files, *now.files} if stored.files.get(name) != now.files.get(name)]
-    for name in sorted(changed):
+    stored, now = take.summary.files, digests(take.path)
+    changed = sorted(name for name in {*stored, *now} if stored.get(name) != now.get(name))
+    for name in changed:
         yield Check(ERROR, f"{name} is not what was recorded: its SHA-256 or its size differs")
     if not changed:
-        yield Check(OK, f"{', '.join(now.files)} as recorded (SHA-256)")
-    if now.same_figures(stored):
-        yield Check(OK, "the figures are those of the messages")
-    else:
-        yield Check(ERROR if changed else WARNING, "the figures measured now differ: measured by " + stored.measured_by)
+        yield Check(OK, f"{', '.join(now)} as recorded (SHA-256)")

@@ -136,10 +136,6 @@ class Summary:
         except msgspec.ValidationError as error:
             raise InputError(f"is no summary of a take ({error})", where=where, remedy=REMEDY) from error
 
-    def same_figures(self, other: Summary) -> bool:
-        """Do both hold the same figures, whoever measured them?"""
-        return replace(self, files={}, measured_by="") == replace(other, files={}, measured_by="")
-
 
 @dataclass(frozen=True)
 class Take:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import viser
@@ -18,7 +18,7 @@ from capture_rig.verdict import REDO
 from ..graph import ANSWER_S
 from ..graph.background_training import SERVICE, SERVICE_TYPE, progress_of, train_backgrounds
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.lifecycle_client import LifecycleClient, State, groups_of
+from ..graph.lifecycle_client import LifecycleClient, State
 from ..graph.ros_link import RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
@@ -28,8 +28,7 @@ from ..takes.measure import finish_take
 from ..takes.take import MIB
 
 BUSY, RECORDING = "still busy with: {}", "recording {}"
-Tell = Callable[[str], None]
-Work = Callable[[Tell], str]
+Work = Callable[[], str]
 Deliver = Callable[[str, bytes], None]
 """Gives a file of this name to who asked for it."""
 
@@ -40,55 +39,50 @@ class Jobs:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._running = ""
-        self._said = ""
-        self.cancelled = threading.Event()
-
-    @property
-    def said(self) -> str:
+        self.said = ""
         """What the last request said last."""
-        with self._lock:
-            return self._said
+        self.cancelled, self.ended = threading.Event(), threading.Event()
 
     def request(self, what: str, work: Work) -> bool:
         """Begin some work unless other work is under way; its last word is shown. Returns whether it began."""
         with self._lock:
             if self._running:
-                self._said = BUSY.format(self._running)
+                self.said = BUSY.format(self._running)
                 return False
-            self._running, self._said = what, f"{what} ..."
+            self._running, self.said = what, f"{what} ..."
         self.cancelled.clear()
         threading.Thread(target=self._run, args=(what, work), name=f"page: {what}", daemon=True).start()
         return True
 
     def report(self, text: str) -> None:
         """Show this until something else is said."""
-        with self._lock:
-            self._said = text
+        self.said = text
 
     def _run(self, what: str, work: Work) -> None:
         try:
-            said = work(self.report)
+            said = work()
         except InputError as error:
             said = str(error)
         except OSError as error:
             said = str(describe_os_error(error, "cannot be used"))
         except Exception as error:  # the page goes on, whatever a request met
             said = f"{what} failed: {error!r}"
+        self.ended.set()
         with self._lock:
-            self._said, self._running = said, ""
+            self.said, self._running = said, ""
 
 
-Button = viser.GuiButtonHandle | viser.GuiButtonGroupHandle
-
-
-def on_click(button: Button, act: Callable[[Deliver], object]) -> None:
-    """Do this when somebody presses the button; it is given a function that sends a file to that browser."""
+def add_buttons(
+    gui: viser.GuiApi, label: str, acts: Mapping[str, Callable[[Deliver], object]], hint: str | None = None
+) -> None:
+    """Add a row of buttons, and what each does; it is given a function that sends a file to who pressed it."""
+    group = gui.add_button_group(label, tuple(acts), hint=hint)
 
     def clicked(event: viser.GuiEvent) -> None:
         if event.client is not None:
-            act(event.client.send_file_download)
+            acts[group.value](event.client.send_file_download)
 
-    button.on_click(clicked)
+    group.on_click(clicked)
 
 
 # what the buttons ask for ---------------------------------------------------------------------------------------------
@@ -98,10 +92,10 @@ RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
 
 
 class Control:
-    """Does what the graph's buttons ask for, each a Work; a recording goes on between two requests."""
+    """Does what the graph's buttons ask for, as work of ``jobs``; a recording goes on between two requests."""
 
     def __init__(self, link: RosLink, diagnostics: DiagnosticsTable, takes: TakesFolder, jobs: Jobs) -> None:
-        """``takes`` : the folder into which recordings go. ``jobs`` : runs the work."""
+        """``takes`` : the folder into which recordings go. ``jobs`` : runs what is asked for."""
         self._link, self._diagnostics, self._takes, self._jobs = link, diagnostics, takes, jobs
         self._lifecycle = LifecycleClient(link.node)
         self._recorder: Recorder | None = None
@@ -115,19 +109,19 @@ class Control:
         """Finish a recording under way."""
         self._jobs.cancelled.set()
         if self._recorder is not None:
-            self.stop_recording(lambda text: None)
+            self.stop_recording()
 
     # what can be asked for --------------------------------------------------------------------------------------------
 
-    def bring(self, goal: State, cameras_first: bool, tell: Tell) -> str:
+    def bring(self, goal: State, cameras_first: bool = False) -> str:
         """Bring every node to a lifecycle state."""
         names = sorted(our_nodes(self._link.node))
         if not names:
             return "no nodes of ours are in the graph: start them with `sagoma up` or their launch file"
-        outcome = self._lifecycle.bring(groups_of(names, cameras_first), goal)
+        outcome = self._lifecycle.bring(names, goal, cameras_first)
         return "; ".join(outcome.failures.values()) or f"{len(names)} nodes are {goal}"
 
-    def reset(self, tell: Tell) -> str:
+    def reset(self) -> str:
         """Forget all persons, and look for them anew."""
         owners = owners_of(self._link.node, RESET, RESET_TYPE)
         requests = {f"{owner}/{RESET}": Trigger.Request() for owner in sorted(owners)}
@@ -139,19 +133,19 @@ class Control:
             for service, reply in replies.items()
         )
 
-    def learn_background(self, countdown_s: int, tell: Tell) -> str:
+    def learn_background(self, countdown_s: int) -> str:
         """Count down while the person leaves the room, then train every camera."""
         names = sorted(owners_of(self._link.node, SERVICE, SERVICE_TYPE))
         if not names:
             return "no camera client is in the graph"
         for left in range(countdown_s, 0, -1):
-            tell(f"leave the room: {left}")
+            self._jobs.report(f"leave the room: {left}")
             if self._jobs.cancelled.wait(1.0):
                 return "cancelled: the background is as it was"
 
         def progress() -> bool:
             done = ", ".join(f"{label_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
-            tell(f"learning: {done}")
+            self._jobs.report(f"learning: {done}")
             return not self._jobs.cancelled.is_set()
 
         outcomes = train_backgrounds(self._link.node, self._diagnostics, names, wanted=progress)
@@ -160,7 +154,7 @@ class Control:
             return "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed)
         return f"{len(outcomes)} cameras have learned their background"
 
-    def start_recording(self, name: str, tell: Tell) -> str:
+    def start_recording(self, name: str) -> str:
         """Record the graph's topics into a new take."""
         if self._recorder is not None:
             return f"{self.recording} is being recorded already"
@@ -174,7 +168,7 @@ class Control:
         self._recorder.follow()
         return RECORDING.format(folder.name)
 
-    def stop_recording(self, tell: Tell) -> str:
+    def stop_recording(self) -> str:
         """Finish the take."""
         recorder = self._recorder
         if recorder is None:
@@ -194,62 +188,50 @@ SHOWN_EVERY = 15  # frames of a video
 
 
 class TakeActions:
-    """Does what the takes' buttons ask for, each a Work; every take is named by its name in one folder."""
+    """Does what the takes' buttons ask for, as work of ``jobs``; every take is named by its name in one folder."""
 
-    def __init__(self, takes: TakesFolder, recording: Callable[[], str]) -> None:
-        """``recording`` : says the name of the take that is being recorded, which is left alone."""
-        self._takes, self._recording = takes, recording
+    def __init__(self, takes: TakesFolder, jobs: Jobs) -> None:
+        self._takes, self._jobs = takes, jobs
 
-    def rename(self, name: str, new_name: str, tell: Tell) -> str:
+    def rename(self, name: str, new_name: str) -> str:
         """Give a take another name."""
-        self._check(name)
         return f"{name} is now {self._takes.rename(name, new_name).name}"
 
-    def trim(self, name: str, new_name: str, from_s: float, to_s: float, tell: Tell) -> str:
+    def trim(self, name: str, new_name: str, from_s: float, to_s: float) -> str:
         """Make a new take of a part."""
-        self._check(name)
-        if not new_name.strip():
-            raise InputError("a part needs a name of its own", where="new name", remedy="Write one.")
         path = trim(self._takes, name, new_name, from_s, to_s)
         return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
 
-    def delete(self, name: str, tell: Tell) -> str:
+    def delete(self, name: str) -> str:
         """Move a take into the bin."""
-        self._check(name)
         return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
 
-    def restore(self, tell: Tell) -> str:
+    def restore(self) -> str:
         """Bring back what was deleted last."""
         deleted = self._takes.deleted()
         return f"{self._takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
 
-    def export(self, name: str, kind: str, deliver: Deliver, tell: Tell) -> str:
+    def export(self, name: str, kind: str, deliver: Deliver) -> str:
         """Write files of other programs into the take's folder, and give them to who asked, several as one zip."""
-        self._check(name)
         take = self._takes.find(name)
         formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
-        files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=tell)
+        files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=self._jobs.report)
         _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
         return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
 
-    def video(self, name: str, deliver: Deliver, tell: Tell) -> str:
+    def video(self, name: str, deliver: Deliver) -> str:
         """Draw the take's video, unless it has been drawn, and give it to who asked."""
-        self._check(name)
         take = self._takes.find(name)
         path = take.path / EXPORTS / VIDEO
 
         def progress(frame: int, frames: int) -> None:
             if frame % SHOWN_EVERY == 0:
-                tell(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
+                self._jobs.report(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
 
         if not path.exists():
             write_video(take, path, progress=progress)
         deliver(f"{name}.mp4", path.read_bytes())
         return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
-
-    def _check(self, name: str) -> None:
-        if name and name == self._recording():
-            raise InputError(f"'{name}' is being recorded", where="takes", remedy="Finish the recording first.")
 
 
 def _deliver(paths: list[Path], name: str, deliver: Deliver) -> None:

@@ -26,7 +26,7 @@ from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
-from .control import Control, Jobs, Work, on_click
+from .control import Control, Deliver, Jobs, Work, add_buttons
 from .scene import Figure
 
 VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
@@ -76,26 +76,17 @@ class LiveGraph:
         wanted += [(topic, PICTURE_TYPE) for topic in self._cameras.values()] if pictures else []
         self._feed.watch(wanted)
 
-    def new_figures(self) -> dict[str, Figure] | None:
-        """Return everybody of whom something has come within a round, by id; None when nothing has changed."""
-        now_s, changed = time.monotonic(), False
+    def figures(self) -> dict[str, Figure]:
+        """Return everybody of whom something has come within a round, by id."""
+        now_s = time.monotonic()
         for body_id, prefix in self._bodies.items():
-            state = self._feed.pop_newest(f"{prefix}/state")
-            if state is not None:
+            if (state := self._feed.pop_newest(f"{prefix}/state")) is not None:
                 self._states[body_id] = state.message
-            cloud = self._feed.pop_newest(f"{prefix}/reference_points")
-            if cloud is None:
-                continue
-            points = read_reference_points(cloud, f"{prefix}/reference_points")
-            sigma = point_deviations(points.covariance)
-            self._figures[body_id] = now_s, Figure(points.points_world, sigma, self._states.get(body_id, ""))
-            changed = True
-        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > ROUND_S]
-        for body_id in gone:
-            del self._figures[body_id]
-        if not (changed or gone):
-            return None
-        return {body_id: figure for body_id, (_, figure) in self._figures.items()}
+            if (cloud := self._feed.pop_newest(f"{prefix}/reference_points")) is not None:
+                points = read_reference_points(cloud, f"{prefix}/reference_points")
+                sigma_m = point_deviations(points.covariance)
+                self._figures[body_id] = now_s, Figure(points.points_world, sigma_m, self._states.get(body_id, ""))
+        return {body_id: figure for body_id, (seen_s, figure) in self._figures.items() if now_s - seen_s < ROUND_S}
 
     def new_voxels(self) -> np.ndarray | None:
         """Return the hull's voxels (m, 3), when there are newer ones."""
@@ -175,7 +166,6 @@ class Feed:
 
 
 COUNTDOWN_S = 10
-RECORD, FINISH, RESET, LEARN, CANCEL = "record", "finish recording", "reset", "learn background", "cancel"
 
 
 class GraphPanel:
@@ -184,8 +174,7 @@ class GraphPanel:
     def __init__(self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, live: LiveGraph, control: Control, jobs: Jobs):
         self._gui, self._live = gui, live
         with tabs.add_tab("Live"):
-            _recording_controls(gui, control, jobs)
-            _graph_buttons(gui, control, jobs)
+            _add_controls(gui, control, jobs)
             self.voxels = gui.add_checkbox("hull voxels", False)
             self._states = gui.add_html("")  # below: its length changes, and buttons must not move under the mouse
         with tabs.add_tab("Cameras"):
@@ -197,9 +186,7 @@ class GraphPanel:
     def show_states(self) -> dict[str, str]:
         """Say how every node is; returns the cameras in trouble, and what it is."""
         now_s, reports = time.monotonic(), self._live.reports()
-        content = states_html(reports, now_s)
-        if content != self._states.content:
-            self._states.content = content
+        self._states.content = states_html(reports, now_s)
         return {
             label_of(name): trouble
             for name, report in reports.items()
@@ -212,36 +199,32 @@ class GraphPanel:
             self._live.draw_pictures(self._gui, self._picture_folder)
 
 
-def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
-    """Connect, start, suspend, stop, reset, and the countdown to learn the background."""
-    transitions: dict[str, tuple[str, Work]] = {
-        "connect": ("connecting", partial(control.bring, State.INACTIVE, False)),
-        "start": ("starting", partial(control.bring, State.ACTIVE, False)),
-        "suspend": ("suspending", partial(control.bring, State.INACTIVE, True)),
-        "stop": ("stopping", partial(control.bring, State.UNCONFIGURED, True)),
-    }
-    nodes = gui.add_button_group("nodes", tuple(transitions))
-    on_click(nodes, lambda send: jobs.request(*transitions[nodes.value]))
-    people = gui.add_button_group("persons", (RESET,), hint="forget everybody, and look anew")
-    on_click(people, lambda send: jobs.request("resetting", control.reset))
-    seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
-    background = gui.add_button_group("background", (LEARN, CANCEL))
-    acts: dict[str, Callable[[], object]] = {
-        LEARN: lambda: jobs.request("learning", partial(control.learn_background, int(seconds.value))),
-        CANCEL: jobs.cancelled.set,
-    }
-    on_click(background, lambda send: acts[background.value]())
+def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
+    """Recording, lifecycle, reset, and the countdown to learn the background."""
 
+    def job(what: str, work: Work) -> Callable[[Deliver], object]:
+        return lambda send: jobs.request(what, work)
 
-def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
-    """A name, record, finish."""
     name = gui.add_text("name of the take", "", hint="by date and time without one")
-    recording = gui.add_button_group("recording", (RECORD, FINISH))
-    acts: dict[str, Callable[[], object]] = {
-        RECORD: lambda: jobs.request("recording", partial(control.start_recording, name.value)),
-        FINISH: lambda: jobs.request("finishing", control.stop_recording),
+    recording = {
+        "record": job("recording", lambda: control.start_recording(name.value)),
+        "finish recording": job("finishing", control.stop_recording),
     }
-    on_click(recording, lambda send: acts[recording.value]())
+    add_buttons(gui, "recording", recording)
+    nodes = {
+        "connect": job("connecting", lambda: control.bring(State.INACTIVE)),
+        "start": job("starting", lambda: control.bring(State.ACTIVE)),
+        "suspend": job("suspending", lambda: control.bring(State.INACTIVE, cameras_first=True)),
+        "stop": job("stopping", lambda: control.bring(State.UNCONFIGURED, cameras_first=True)),
+    }
+    add_buttons(gui, "nodes", nodes)
+    add_buttons(gui, "persons", {"reset": job("resetting", control.reset)}, hint="forget everybody, and look anew")
+    seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
+    background: dict[str, Callable[[Deliver], object]] = {
+        "learn background": job("learning", lambda: control.learn_background(int(seconds.value))),
+        "cancel": lambda send: jobs.cancelled.set(),
+    }
+    add_buttons(gui, "background", background)
 
 
 # states as HTML -------------------------------------------------------------------------------------------------------
@@ -257,8 +240,6 @@ SILENT = (
 )
 NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs/first_capture.md leads to cameras"
 UNHEARD = "has not been heard yet"
-MOST_TEXT = 400
-"""Characters of what a node says: more than any of ours, and less than a panel."""
 
 
 def trouble_of(report: NodeReport | None, now_s: float) -> str:
@@ -287,25 +268,16 @@ def _block(label: str, report: NodeReport | None, now_s: float) -> str:
         since = time.strftime("%H:%M:%S", time.localtime(time.time() - silent_s))
         return _html(RED, label, "", SILENT.format(since, silent_s))
     figures = [f"{report.values[RATE]} Hz"] if RATE in report.values else []
-    figures += [age_of(report.values[AGE])] if AGE in report.values else []
+    figures += [f"{report.values[AGE]} ms old"] if AGE in report.values else []
     figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
     return _html(COLOURS.get(report.level, RED), label, ", ".join(figures), report.message)
-
-
-def age_of(text: str) -> str:
-    """Say how old results are, of milliseconds as a node writes them; its own text where that is no number."""
-    try:
-        age_ms = float(text)
-    except ValueError:
-        return text
-    return f"{age_ms:.0f} ms old" if age_ms < 2000.0 else f"{age_ms / 1e3:.1f} s old"
 
 
 def _html(colour: str, label: str, figures: str, says: str) -> str:
     return (
         f'<div style="border-left: 4px solid {colour}; padding: 0 0 2px 8px; margin: 0 10px 6px 10px; font-size: 13px; '
         f'line-height: 1.35; overflow-wrap: anywhere">'
-        f"<b>{escape(label[:MOST_TEXT])}</b> "
-        f'<span style="opacity: 0.7">{escape(figures[:MOST_TEXT])}</span>'
-        f"<br>{escape(says[:MOST_TEXT])}</div>"
+        f"<b>{escape(label)}</b> "
+        f'<span style="opacity: 0.7">{escape(figures)}</span>'
+        f"<br>{escape(says)}</div>"
     )

@@ -17,8 +17,7 @@ from .scene import RoomScene
 from .server import Guard, guarded_server
 from .takes_panel import PLAY, Playback, TakesPanel
 
-STATES, PICTURES, TAKES = "states", "pictures", "takes"
-EVERY_S = {STATES: 0.5, PICTURES: 0.25, TAKES: 2.0}
+EVERY_S = 0.25
 """How often tables, the cameras' pictures and the list of takes are drawn anew."""
 
 
@@ -53,7 +52,7 @@ class Page:
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
-        work = TakeActions(takes, lambda: control.recording if control is not None else "")
+        work = TakeActions(takes, self._jobs)
         leave = self.show_live if live is not None else None
         self._take_panel = TakesPanel(gui, tabs, work, self._jobs, self.play, leave)
         self.server.on_client_connect(lambda client: self._watched.set())
@@ -68,7 +67,7 @@ class Page:
     def play(self, name: str) -> None:
         """Play a take of the folder, or say why it cannot be."""
 
-        def work(tell: object) -> str:
+        def work() -> str:
             self._show(Playback.of(self._takes.find(name)))
             return f"playing {name}"
 
@@ -107,7 +106,7 @@ class Page:
         self._playback = playback
 
     def _draw(self) -> None:
-        next_at = dict.fromkeys(EVERY_S, 0.0)
+        next_s = 0.0
         while not self._ended.is_set():
             if not self.server.get_clients():
                 if self._live is not None:
@@ -121,56 +120,40 @@ class Page:
             now = time.monotonic()
             try:
                 with self.server.atomic():
-                    self._draw_frame(now, next_at)
+                    self._draw_people(now)
+                    if now >= next_s or self._jobs.ended.is_set():
+                        next_s = now + EVERY_S
+                        self._draw_panels()
             except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
                 self._jobs.report(f"the page could not be drawn: {error}")
             self._ended.wait(max(0.0, 1.0 / 30.0 - (time.monotonic() - now)))
 
-    def _draw_frame(self, now_s: float, next_at: dict[str, float]) -> None:
-        """Draw what is due; ``next_at`` : when tables, pictures and takes are drawn next."""
-        due = [what for what, at_s in next_at.items() if now_s >= at_s]
-        next_at.update({what: now_s + EVERY_S[what] for what in due})
-        self._draw_people(now_s)
-        if TAKES in due or self._take_panel.stale.is_set():
-            self._take_panel.stale.clear()
-            self._take_panel.show_takes(self._takes.takes())
-        if STATES in due:
-            self._draw_states()
-        if PICTURES in due and self._graph is not None:
-            self._graph.show_pictures()
-
     def _draw_people(self, now_s: float) -> None:
-        playback = self._playback
-        if playback is not None:
-            there = playback.new_figures_at(now_s)
-            if there is not None:
-                self._scene.show(there)
+        if self._playback is not None:
+            self._scene.show(self._playback.figures_at(now_s))
             self._scene.show_voxels(None)
-            self._take_panel.show_progress(playback)
-            return
-        if self._live is None or self._graph is None:
-            return
-        voxels = self._graph.voxels.value
-        self._live.watch(voxels=voxels, pictures=self._graph.pictures.value)
-        figures = self._live.new_figures()
-        if figures is not None:
-            self._scene.show(figures)
-        if not voxels:
-            self._scene.show_voxels(None)
-        elif (points := self._live.new_voxels()) is not None:
-            self._scene.show_voxels(points)
+            self._take_panel.show_progress(self._playback)
+        elif self._live is not None and self._graph is not None:
+            voxels = self._graph.voxels.value
+            self._live.watch(voxels=voxels, pictures=self._graph.pictures.value)
+            self._scene.show(self._live.figures())
+            if not voxels:
+                self._scene.show_voxels(None)
+            elif (points := self._live.new_voxels()) is not None:
+                self._scene.show_voxels(points)
 
-    def _draw_states(self) -> None:
-        """Say what the last request came to, and how every node is."""
+    def _draw_panels(self) -> None:
+        """List the takes; say what the last request came to, and how every node is; draw the cameras' pictures."""
+        self._jobs.ended.clear()
+        self._take_panel.show_takes(self._takes.takes())
         name = self._control.recording if self._control is not None else ""
         recording, last = RECORDING.format(name), self._jobs.said
         said = f'<b style="color: #e5484d">&#9679; {escape(recording)}</b><br>' if name else ""
         said += escape(last) if last != recording else ""
-        content = (
+        self._said.content = (
             f'<div style="font-size: 14px; min-height: 1.4em; overflow-wrap: anywhere; padding: 0 10px">{said}</div>'
         )
-        if content != self._said.content:
-            self._said.content = content
         if self._graph is not None:
             troubles = self._graph.show_states()
             self._scene.mark_cameras(troubles if self._playback is None else {})
+            self._graph.show_pictures()

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 import viser.transforms
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from capture_rig.rig import Rig
 from stick_figure.skeleton import POINT_NAMES
@@ -72,10 +74,8 @@ class RoomScene:
     def mark_cameras(self, troubles: Mapping[str, str]) -> None:
         """Draw cameras in trouble red, with the trouble beside their name; all others as ever."""
         for name, (frustum, label) in self._cameras.items():
-            text = f"{name}: {troubles[name]}" if name in troubles else name
-            if label.text != text:
-                label.text = text
-                frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
+            label.text = f"{name}: {troubles[name]}" if name in troubles else name
+            frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
 
     def show(self, figures: Mapping[str, Figure]) -> None:
         """Draw these persons, by id, and nobody else; views look at them once somebody is tracked."""
@@ -118,13 +118,10 @@ def floor_lines() -> Array:
 SURE_M, UNSURE_M = 0.02, 0.12
 """Standard deviation of a point that is drawn green, and red: a joint's own width, and a limb's error of one lost."""
 GREEN, AMBER, RED = np.array([60, 190, 90.0]), np.array([240, 170, 30.0]), np.array([220, 50, 45.0])
-COLOUR_STEPS = 16
-"""Shades between sure and unsure: fewer than the eye tells apart side by side, so that colours are seldom sent."""
 JOINT_M, HEAD_M, BONE_M = 0.038, 0.085, 0.028
 """Radii of the balls and of a spindle's waist: a wrist's and a skull's, and thinner than any limb."""
-SCALE_STEP_M = 0.002
-"""Bones are sent anew when one has become longer or shorter by so much: less than anybody sees."""
-SPHERE_MERIDIANS, SPHERE_PARALLELS = 12, 8
+SPHERE_POINTS = 110
+"""Few enough for a browser without a GPU."""
 RADII = np.where(np.array(POINT_NAMES) == "head", HEAD_M, JOINT_M)
 
 
@@ -148,7 +145,7 @@ class Instances:
 
 
 class DrawnPerson:
-    """One person in a viser scene, sent once and then moved."""
+    """One person in a viser scene, sent once and then moved; viser sends what has changed."""
 
     def __init__(self, scene: viser.SceneApi, body_id: str, figure: Figure) -> None:
         instances = instances_of(figure)
@@ -164,28 +161,19 @@ class DrawnPerson:
             receive_shadow=False,
         )
         self._label = scene.add_label(f"/names/{body_id}", body_id, anchor="bottom-center")
-        self._sent = instances
-        self._move_label(figure)
+        self.move(figure)
 
     def move(self, figure: Figure) -> None:
-        """Send what has changed."""
+        """Draw the person there."""
         instances, mesh = instances_of(figure), self._mesh
         mesh.batched_positions, mesh.batched_wxyzs = instances.positions, instances.wxyzs
-        scales, colours = self._sent.scales, self._sent.colours
-        if np.abs(instances.scales - scales).max() > SCALE_STEP_M:
-            mesh.batched_scales = scales = instances.scales
-        if not np.array_equal(instances.colours, colours):
-            mesh.batched_colors = colours = instances.colours
-        self._sent = Instances(instances.positions, instances.wxyzs, scales, colours)
-        self._move_label(figure)
+        mesh.batched_scales, mesh.batched_colors = instances.scales, instances.colours
+        self._label.position = figure.points_world[POINT_NAMES.index("head")] + NAME_ABOVE
 
     def remove(self) -> None:
         """Take the person out of the scene."""
         self._mesh.remove()
         self._label.remove()
-
-    def _move_label(self, figure: Figure) -> None:
-        self._label.position = figure.points_world[POINT_NAMES.index("head")] + NAME_ABOVE
 
 
 def instances_of(figure: Figure) -> Instances:
@@ -193,7 +181,7 @@ def instances_of(figure: Figure) -> Instances:
     points, colours = figure.points_world, confidence_colours(figure)
     begins, ends = points[BONES[:, 0]], points[BONES[:, 1]]
     along = ends - begins
-    length = np.linalg.norm(along, axis=1)
+    length = np.linalg.norm(along, axis=1).round(3)  # to the mm: what has not changed is not sent
     waist = np.full(len(BONES), BONE_M)
     scales = np.concatenate([np.repeat(RADII[:, None], 3, 1), np.column_stack([waist, waist, 0.5 * length])])
     turns = np.concatenate([np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)), rotations_of_z_onto(along)])
@@ -203,19 +191,15 @@ def instances_of(figure: Figure) -> Instances:
 
 
 def rotations_of_z_onto(directions: Array) -> Array:
-    """Quaternions wxyz (n, 4) of the shortest turns of the z axis onto directions (n, 3), of any length but zero."""
-    length = np.linalg.norm(directions, axis=1, keepdims=True)
-    x, y, z = (directions / np.where(length > 0.0, length, 1.0)).T
-    halves = np.column_stack([1.0 + z, -y, x, np.zeros_like(x)])
-    norm = np.linalg.norm(halves, axis=1, keepdims=True)
-    upside_down = norm < 1e-6  # half a turn, about any axis across
-    return np.where(upside_down, [0.0, 1.0, 0.0, 0.0], halves / np.where(upside_down, 1.0, norm))
+    """Quaternions wxyz (n, 4) of turns of the z axis onto directions (n, 3): about y, then about z."""
+    x, y, z = directions.T
+    turns = Rotation.from_euler("ZY", np.column_stack([np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)]))
+    return turns.as_quat(scalar_first=True)
 
 
 def confidence_colours(figure: Figure) -> Array:
     """(15, 3) uint8: green for sure points, amber, red for unsure ones; all red when the person is lost."""
     doubt = np.clip((figure.sigma_m - SURE_M) / (UNSURE_M - SURE_M), 0.0, 1.0)
-    doubt = np.round(doubt * COLOUR_STEPS) / COLOUR_STEPS
     if figure.state == "lost":
         doubt = np.ones_like(doubt)
     low = GREEN + (AMBER - GREEN) * np.minimum(2.0 * doubt, 1.0)[:, None]
@@ -223,16 +207,14 @@ def confidence_colours(figure: Figure) -> Array:
 
 
 def unit_sphere() -> tuple[Array, Array]:
-    """Return vertices (n, 3) and outward faces (m, 3) of a unit sphere, few enough for a browser without a GPU."""
-    polar = np.linspace(0.0, np.pi, SPHERE_PARALLELS + 1)
-    around = np.linspace(0.0, 2.0 * np.pi, SPHERE_MERIDIANS, endpoint=False)
-    ring = np.column_stack([np.cos(around), np.sin(around)])
-    vertices = np.concatenate([np.column_stack([np.sin(p) * ring, np.full(len(ring), np.cos(p))]) for p in polar])
-    row, column = np.divmod(np.arange(SPHERE_PARALLELS * SPHERE_MERIDIANS), SPHERE_MERIDIANS)
-    right = (column + 1) % SPHERE_MERIDIANS
-    here, beside = row * SPHERE_MERIDIANS + column, row * SPHERE_MERIDIANS + right
-    below, across = here + SPHERE_MERIDIANS, beside + SPHERE_MERIDIANS
-    faces = np.concatenate([np.column_stack([here, below, across]), np.column_stack([here, across, beside])])
+    """Return vertices (n, 3) and outward faces (m, 3) of a unit sphere: the hull of a Fibonacci spiral."""
+    k = np.arange(SPHERE_POINTS) + 0.5
+    z, around = 1.0 - 2.0 * k / SPHERE_POINTS, np.pi * (1.0 + np.sqrt(5.0)) * k
+    level = np.sqrt(1.0 - z**2)
+    vertices = np.column_stack([level * np.cos(around), level * np.sin(around), z])
+    faces = ConvexHull(vertices).simplices
+    inward = np.linalg.det(vertices[faces]) < 0.0
+    faces[inward] = faces[inward, ::-1]
     return vertices.astype(np.float32), faces.astype(np.uint32)
 
 
@@ -241,18 +223,14 @@ def unit_sphere() -> tuple[Array, Array]:
 
 FOV_RAD = np.deg2rad(50.0)
 """Vertical: a person is not distorted at the edges, and a room of four metres fits from five away."""
-ASPECT = 4.0 / 3.0
-"""Width by height of the scene beside its panel, or less than that."""
-MARGIN = 1.05
-"""The screen by what is shown on it: names stand beside the cameras."""
 AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-22.5), np.deg2rad(15.0)
 LEVEL = np.cos(ELEVATION_RAD)
 BACKWARD = np.array([LEVEL * np.cos(AZIMUTH_RAD), LEVEL * np.sin(AZIMUTH_RAD), np.sin(ELEVATION_RAD)])
 """Whence a view looks: from above, and from the front to the right, between the cameras of a ring of four or eight."""
 ROOM = np.array([[-1.4, -1.4, 0.0], [1.4, 1.4, 2.2]])
 """Corners of the room that is shown while no rig is known, m."""
-PERSON_M, STANDING_M = 2.2, 2.0
-"""Width of the room that is shown about one person, arms stretched, and its height."""
+PERSON_M = 1.2
+"""Radius about a person's middle that is shown: of somebody tall with stretched arms."""
 
 
 class Viewpoint:
@@ -266,40 +244,23 @@ class Viewpoint:
 
     def show_rig(self, rig: Rig | None) -> None:
         """Look at its volume and cameras, until somebody is tracked."""
-        centres = np.array([camera.centre_world for camera in rig.cameras]) if rig is not None else np.zeros((0, 3))
-        room = corners_of(rig.volume.low, rig.volume.high) if rig is not None else corners_of(*ROOM)
+        shown = [*ROOM] if rig is None else [rig.volume.low, rig.volume.high, *(c.centre_world for c in rig.cameras)]
         self._on_people = False
-        self._show(np.concatenate([room, centres]))
+        self._show(np.array(shown))
 
     def show_people(self, figures: Mapping[str, Figure]) -> None:
         """Look at who is tracked, the first time that somebody is."""
-        tracked = [figure.points_world[:, :2] for figure in figures.values() if figure.state != "lost"]
-        if self._on_people or not tracked:
-            return
-        self._on_people = True
-        low, high = (end(np.concatenate(tracked), axis=0) for end in (np.min, np.max))
-        reach = np.maximum(high - low, PERSON_M) / 2
-        about = np.stack([(low + high) / 2 - reach, (low + high) / 2 + reach])
-        self._show(corners_of(*np.column_stack([about, [0.0, STANDING_M]])))
+        tracked = [figure.points_world for figure in figures.values() if figure.state != "lost"]
+        if tracked and not self._on_people:
+            self._on_people = True
+            self._show(np.concatenate(tracked), PERSON_M)
 
-    def _show(self, points_world: Array) -> None:
-        """Show these points (n, 3) in all views, and in those to come."""
+    def _show(self, points_world: Array, radius_m: float = 0.0) -> None:
+        """Show the ball about these points (n, 3), of this radius at least, in all views and in those to come."""
         look_at = 0.5 * (points_world.min(0) + points_world.max(0))
-        position = look_at + distance_to(points_world - look_at) * BACKWARD
+        radius_m = max(radius_m, np.linalg.norm(points_world - look_at, axis=1).max())
+        position = look_at + radius_m / np.sin(0.5 * FOV_RAD) * BACKWARD
         self._server.initial_camera.position, self._server.initial_camera.look_at = position, look_at
         for client in self._server.get_clients().values():
             with client.atomic():
                 client.camera.position, client.camera.look_at = position, look_at
-
-
-def distance_to(points: Array) -> float:
-    """Return from how far away points (n, 3) fill a view along ``-BACKWARD`` through the origin."""
-    right = np.array([-BACKWARD[1], BACKWARD[0], 0.0]) / np.hypot(*BACKWARD[:2])
-    up = np.cross(BACKWARD, right)
-    wide, high = np.abs(points @ right) / ASPECT, np.abs(points @ up)
-    return float((MARGIN * np.maximum(wide, high) / np.tan(0.5 * FOV_RAD) + points @ BACKWARD).max())
-
-
-def corners_of(low: Array, high: Array) -> Array:
-    """(8, 3) of a box."""
-    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from ..recording.reader import rig_in
 from ..recording.recorded_motion import recorded_motions
 from ..takes.exporting import FORMATS
 from ..takes.take import FIGURES, Take, date, figures, remark, summary_lines
-from .control import ALL_FORMATS, Deliver, Jobs, TakeActions, Tell, Work, on_click
+from .control import ALL_FORMATS, Deliver, Jobs, TakeActions, add_buttons
 from .scene import Figure
 
 Array = np.ndarray
@@ -55,7 +54,6 @@ class Playback:
     playing: bool = True
     position_s: float = 0.0
     _moved_s: float | None = None
-    _shown: dict[str, int | None] | None = None
 
     @classmethod
     def of(cls, take: Take) -> Playback:
@@ -83,23 +81,19 @@ class Playback:
         """Do not count the time until the next figures are asked for: nobody looks meanwhile."""
         self._moved_s = None
 
-    def new_figures_at(self, now_s: float) -> dict[str, Figure] | None:
-        """Move on to this moment, unless paused; return everybody who is there then, None when nothing has changed."""
+    def figures_at(self, now_s: float) -> dict[str, Figure]:
+        """Move on to this moment, unless paused; return everybody who is there then."""
         if self.playing and self._moved_s is not None:
             self.position_s += max(now_s - self._moved_s, 0.0)
             if self.position_s > self.seconds:
                 self.position_s = self.first_pose_s
         self._moved_s = now_s
-        stamp_ns = self.begins_ns + round(self.position_s * 1e9)
-        frames = {body_id: last_frame(motion, stamp_ns) for body_id, motion in self.motions.items()}
-        if frames == self._shown:
-            return None
-        self._shown = frames
-        shown = ((body_id, self.motions[body_id], frame) for body_id, frame in frames.items() if frame is not None)
-        return {
-            body_id: Figure(motion.points_world[k], point_deviations(motion.covariance[k]), str(motion.states[k]))
-            for body_id, motion, k in shown
-        }
+        stamp_ns, there = self.begins_ns + round(self.position_s * 1e9), {}
+        for body_id, motion in self.motions.items():
+            if (k := last_frame(motion, stamp_ns)) is not None:
+                sigma_m = point_deviations(motion.covariance[k])
+                there[body_id] = Figure(motion.points_world[k], sigma_m, str(motion.states[k]))
+        return there
 
     def plots(self, body_id: str) -> Iterator[tuple[str, Array, Array]]:
         """Yield title, times (n,) s and the curves (2, n) degrees of a person's left and right side, NaN in gaps."""
@@ -131,11 +125,7 @@ def last_frame(motion: Motion, stamp_ns: int) -> int | None:
 
 
 NO_TAKES = "(none yet)"
-PLAY, PAUSE, BACK = "play", "pause", "back to live"
-EXPORT, VIDEO = "export", "video"
-RENAME, TRIM, DELETE, RESTORE = "rename", "trim", "delete", "restore"
-BEGIN, END = "begin", "end"
-"""The slider follows what is played in such steps: each is a message to every browser."""
+PLAY = "play"
 
 
 class TakesPanel:
@@ -152,47 +142,52 @@ class TakesPanel:
     ) -> None:
         self._gui, self._jobs, self._takes = gui, jobs, dict[str, Take]()
         self._playback: Playback | None = None
-        self.stale = threading.Event()  # the list is not what the folder holds any more
+        player: dict[str, Callable[[Deliver], object]] = {
+            PLAY: lambda send: self._play(play),
+            "pause": lambda send: self._pause(),
+        }
+        if leave is not None:
+            player["back to live"] = lambda send: leave()
+
+        def job(what: str, work: Callable[[Deliver], str]) -> Callable[[Deliver], object]:
+            return lambda send: jobs.request(what, partial(work, send))
+
         with tabs.add_tab("Takes"):
             self._choice = gui.add_dropdown("take", (NO_TAKES,))
             self._about = gui.add_html("")
-            player = gui.add_button_group("replay", (PLAY, PAUSE, BACK) if leave is not None else (PLAY, PAUSE))
+            add_buttons(gui, "replay", player)
             self._position = gui.add_slider("second", 0.0, 1.0, 0.01, 0.0, disabled=True)
             self._person = gui.add_dropdown("angles of", (FIRST_BODY_ID,), visible=False)
             self._plots = gui.add_folder("angles", visible=False)
             with gui.add_folder("for other programs"):
-                self._format = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
-                files = gui.add_button_group("files", (EXPORT, VIDEO))
+                kind = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
+                files = {
+                    "export": job("exporting", lambda send: work.export(self.chosen, kind.value, send)),
+                    "video": job("drawing", lambda send: work.video(self.chosen, send)),
+                }
+                add_buttons(gui, "files", files)
             with gui.add_folder("change"):
-                self._new_name = gui.add_text("new name", "", hint="for rename and trim")
-                self._from = gui.add_number("from, s", 0.0, min=0.0, step=0.01)
-                self._to = gui.add_number("to, s", 0.0, min=0.0, step=0.01)
-                mark = gui.add_button_group("slider to", (BEGIN, END))
-                change = gui.add_button_group("take", (RENAME, TRIM))
-                bin_group = gui.add_button_group("bin", (DELETE, RESTORE))
-        on_click(player, lambda send: players[player.value]())
+                name = gui.add_text("new name", "", hint="for rename and trim")
+                begin = gui.add_number("from, s", 0.0, min=0.0, step=0.01)
+                self._end = gui.add_number("to, s", 0.0, min=0.0, step=0.01)
+                marks = {"begin": begin, "end": self._end}
+                mark = {word: lambda send, at=at: _set(at, self._position.value) for word, at in marks.items()}
+                add_buttons(gui, "slider to", mark)
+                part = {
+                    "rename": job("renaming", lambda send: work.rename(self.chosen, name.value)),
+                    "trim": job(
+                        "trimming", lambda send: work.trim(self.chosen, name.value, begin.value, self._end.value)
+                    ),
+                }
+                add_buttons(gui, "take", part)
+                deleted = {
+                    "delete": job("deleting", lambda send: work.delete(self.chosen)),
+                    "restore": job("restoring", lambda send: work.restore()),
+                }
+                add_buttons(gui, "bin", deleted)
         self._position.on_update(self._jump)
         self._choice.on_update(lambda event: self._show_about())
         self._person.on_update(lambda event: self._show_curves() if event.client is not None else None)
-        on_click(mark, lambda send: self._mark(mark.value))
-        on_click(change, lambda send: jobs.request(*changes[change.value]()))
-        on_click(bin_group, lambda send: jobs.request(*changes[bin_group.value]()))
-        on_click(files, lambda send: jobs.request(*made[files.value](send)))
-        players: dict[str, Callable[[], object]] = {
-            PLAY: lambda: self._play(play),
-            PAUSE: self._pause,
-            BACK: leave or (lambda: None),
-        }
-        changes: dict[str, Callable[[], tuple[str, Work]]] = {
-            RENAME: lambda: ("renaming", self._changing(partial(work.rename, self.chosen, self._new_name.value))),
-            TRIM: lambda: ("trimming", self._changing(partial(work.trim, *self._part()))),
-            DELETE: lambda: ("deleting", self._changing(partial(work.delete, self.chosen))),
-            RESTORE: lambda: ("restoring", self._changing(work.restore)),
-        }
-        made: dict[str, Callable[[Deliver], tuple[str, Work]]] = {
-            EXPORT: lambda send: ("exporting", partial(work.export, self.chosen, self._format.value, send)),
-            VIDEO: lambda send: ("drawing", partial(work.video, self.chosen, send)),
-        }
 
     @property
     def chosen(self) -> str:
@@ -225,7 +220,7 @@ class TakesPanel:
         self._person.options = tuple(playback.motions)
         self._position.max = round(playback.seconds, 2)
         _set(self._position, round(playback.position_s, 2))
-        _set(self._to, round(playback.seconds, 2))
+        _set(self._end, round(playback.seconds, 2))
         self._choose(playback.take.name)
         _set(self._person, next(iter(playback.motions)))
         self._show_curves()
@@ -234,20 +229,6 @@ class TakesPanel:
         """Move the slider to where the take plays."""
         if abs(self._position.value - playback.position_s) > 0.2:
             _set(self._position, round(playback.position_s, 2))
-
-    def _part(self) -> tuple[str, str, float, float]:
-        return self.chosen, self._new_name.value, self._from.value, self._to.value
-
-    def _changing(self, work: Work) -> Work:
-        """The same work, after which the list is drawn anew before its outcome is told."""
-
-        def changing(tell: Tell) -> str:
-            try:
-                return work(tell)
-            finally:
-                self.stale.set()
-
-        return changing
 
     def _show_curves(self) -> None:
         """Draw the angles of the person who is chosen."""
@@ -307,9 +288,6 @@ class TakesPanel:
         """Go on playing from where somebody has moved the slider to."""
         if self._playback is not None and event.client is not None:
             self._playback.jump(self._position.value)
-
-    def _mark(self, which: str) -> None:
-        _set(self._from if which == BEGIN else self._to, self._position.value)
 
     def _show_about(self) -> None:
         take = self._takes.get(self._choice.value)
