@@ -79,7 +79,7 @@ def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, tmp_path, monkeypat
     said = " ".join(capsys.readouterr().out.split())
     assert f"tracked in none of 58 frame sets; {told}" in said
     assert "holds no tracked body" not in said
-    assert "Film where all cameras see the whole person" in said
+    assert "docs/tracking.md" in said
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from ..arguments import add_settings_argument, add_start_argument, next_steps, p
 from ..console import INTERRUPTED, command_console, doing
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
-from ..evaluation.reasons import explain
+from ..evaluation.reasons import REMEDY, explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..graph.processes import busy_machine
@@ -138,7 +138,7 @@ def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
     wrong.
     """
     if any(reasons):
-        return ". ".join(explain(reasons))
+        return f"{explain(reasons)}. {REMEDY}"
     if rate == 0.0:  # nothing is dropped, however busy the machine
         return "look into the logs of the nodes"
     busy = busy_machine() or "look into the logs of the nodes"
