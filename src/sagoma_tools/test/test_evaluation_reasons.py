@@ -24,7 +24,11 @@ def test_reasons_that_differ_in_numbers_are_one_with_the_numbers_of_a_typical_se
 
 
 def test_the_number_in_a_cameras_name_is_none_but_the_way_to_step_may_differ():
-    sets = [(BELOW,), (BELOW.replace("cam02 does", "cam03 does"),), (BELOW.replace("0.4 m away from", "0.7 m towards"),)]
+    sets = [
+        (BELOW,),
+        (BELOW.replace("cam02 does", "cam03 does"),),
+        (BELOW.replace("0.4 m away from", "0.7 m towards"),),
+    ]
     assert [count for _, count in rank_reasons(sets)] == [2, 1]
 
 

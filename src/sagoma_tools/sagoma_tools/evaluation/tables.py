@@ -97,12 +97,8 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
     states = ", ".join(f"{state} in {count} frames" for state, count in evaluated.states.items())
     switches = "" if evaluated.switches is None else f"; {evaluated.switches} identity switches"
     console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}{switches}")
-    resting = int(evaluated.jitter.at_rest.sum())
-    console.print(
-        f"jitter at rest: {evaluated.jitter.rms_mm:.2f} mm rms ({resting} points in frames)"
-        if resting
-        else "jitter at rest: unknown, nothing rests long enough"
-    )
+    resting = int(evaluated.at_rest.sum())
+    console.print(f"jitter at rest: {evaluated.jitter_mm:.2f} mm rms ({resting} points in frames)")
     if evaluated.scores is not None and evaluated.thesis is not None:
         ratio = evaluated.thesis.mean_mm / evaluated.scores.mean_mm
         console.print(
@@ -115,19 +111,22 @@ def print_people(console: Console, people: PeopleScores) -> None:
     """Print a row for each person of a session with several truths, where the rig shows that person."""
     columns = "numbers", *POINT_COLUMNS, "flagged", "alarms", "frames", "switches"
     table = plain_table("every person, where the rig shows them", ["truth"], columns)
-    for count, person in enumerate(people.persons, 1):
-        name, numbers = f"person {count}", "+".join(map(str, person.numbers)) or "-"
-        scores = person.scores
+    who = people.who
+    for count, (of_person, scores, switches) in enumerate(
+        zip(who.numbers, people.scores, who.switches, strict=True), 1
+    ):
+        name, numbers = f"person {count}", "+".join(map(str, of_person)) or "-"
         if scores is None:
             table.add_row(name, numbers, "no track")
             continue
         called = _percent(scores.calls.flagged_of_bad), _percent(scores.calls.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
-        table.add_row(name, numbers, *_cells(scores.all_points), *called, frames, str(person.switches))
+        table.add_row(name, numbers, *_cells(scores.all_points), *called, frames, str(switches))
     console.print(table)
-    who, switches = people.who, sum(person.switches or 0 for person in people.persons)
     nobody = f"; tracks of nobody: {', '.join(map(str, who.ghosts))}" if who.ghosts else ""
-    console.print(f"{switches} identity switches; {who.ghost_frames} frames with a track of nobody{nobody}")
+    console.print(
+        f"{sum(filter(None, who.switches))} identity switches; {who.ghost_frames} frames with a track of nobody{nobody}"
+    )
 
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
