@@ -5,14 +5,13 @@ To be imported where it is used: matplotlib takes a second to load.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from capture_rig.camera import CameraModel
@@ -137,12 +136,6 @@ def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
 
 
 OURS, TRUTH, THESIS, UNSURE, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
-ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
-    "neck_elbows": ("neck_x", "neck_y", "left_elbow", "right_elbow"),
-    "shoulders": tuple(f"{side}_shoulder_{axis}" for axis in "xzy" for side in ("left", "right")),
-    "hips": tuple(f"{side}_hip_{axis}" for axis in "xyz" for side in ("left", "right")),
-    "knees": ("left_knee", "right_knee"),
-}
 POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 """The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
 
@@ -150,40 +143,33 @@ POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
     folder.mkdir(parents=True, exist_ok=True)
-    session, track = evaluated.session, evaluated.track
-    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
-    if session.truth is not None:
-        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
-    figures = {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
-    if evaluated.scores is not None and evaluated.session.truth is not None:
+    figures = {"angles": _angles(evaluated)}
+    if evaluated.scores is not None:
         figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
         figures["errors"] = _distribution(evaluated, evaluated.scores)
-    paths = []
     for name, figure in figures.items():
-        paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1], dpi=100)
-    return paths
+        figure.savefig(folder / f"{name}.png", dpi=100)
+    return [folder / f"{name}.png" for name in figures]
 
 
-Curve = tuple[str, str, float, np.ndarray, np.ndarray]
-"""Label, colour, width of the line, frames (F,) and angles (F, 18) rad."""
-
-
-def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, names: Sequence[str]) -> Figure:
+def _angles(evaluated: TrackEvaluation) -> Figure:
     """Angles over time against the truth (as thesis fig. 7.4 to 7.7)."""
-    rows = -(-len(names) // 2)
-    figure = Figure(figsize=(12, 1.2 + 2.3 * rows), layout="constrained")
-    for axis, name in zip(np.ravel(figure.subplots(rows, 2, sharex=True)), names, strict=True):
-        slot, title = ANGLE_NAMES.index(name), name.replace("_", " ")
+    track, truth = evaluated.track, evaluated.session.truth
+    curves = [("ours", OURS, 1.3, track.frames, track.angles)]  # label, colour, width, frames (F,), angles (F, 18) rad
+    if truth is not None:
+        curves.insert(0, ("truth", TRUTH, 3.5, truth.frames, angle_truth(truth).angles))
+    figure = Figure(figsize=(12, 22), layout="constrained")
+    for slot, axis in enumerate(np.ravel(figure.subplots(9, 2, sharex=True))):
         for label, colour, width, frames, angles in curves:
             seconds, degrees = frames / evaluated.session.fps, unbridged(frames, np.rad2deg(angles[:, slot]))
             axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
             sure = np.where(defined(angles)[:, slot], degrees, np.nan)
             axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
+        title = ANGLE_NAMES[slot].replace("_", " ")
         if evaluated.scores is not None:
             title += f": RMSE {np.rad2deg(evaluated.scores.angles.rmse_rad[slot]):.1f} deg"
         axis.set_title(title, fontsize=10)
-    _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
+    _finish(figure, evaluated, "angles", "angle [deg], dotted where the pose does not determine it")
     return figure
 
 
@@ -199,29 +185,22 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     figure = Figure(figsize=(13, 12), layout="constrained")
     axes = figure.subplots(5, 3, sharex=True, sharey=True)
     assert evaluated.session.truth is not None
-    seconds = evaluated.session.truth.frames / evaluated.session.fps
+    seconds, track = evaluated.session.truth.frames / evaluated.session.fps, evaluated.track
+    unsure = track.states != TRACKING
     for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
         if evaluated.thesis is not None:
             errors, label = evaluated.thesis.errors_mm[:, point], "thesis's method"
             axis.plot(seconds, errors, color=THESIS, linewidth=0.8, alpha=0.7, label=label)
         axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
         axis.axhline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
-        _shade_unsure(axis, evaluated)
+        if unsure.any():
+            there, whole = axis.get_xaxis_transform(), (track.frames / evaluated.session.fps, 0, 1, unsure)
+            axis.fill_between(*whole, step="mid", color=UNSURE, alpha=0.3, transform=there, label="not tracking")
         axis.set_title(f"{_name(point)}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
     top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
     return figure
-
-
-def _shade_unsure(axis: Axes, evaluated: TrackEvaluation) -> None:
-    """Shade the frames in which the tracker does not report that it tracks."""
-    track, fps = evaluated.track, evaluated.session.fps
-    unsure = track.frames[track.states != TRACKING]
-    runs = np.split(unsure, np.flatnonzero(np.diff(unsure) > 1) + 1) if len(unsure) else []
-    for index, run in enumerate(runs):
-        label = "not tracking" if index == 0 else None
-        axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=UNSURE, alpha=0.3, linewidth=0, label=label)
 
 
 def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
