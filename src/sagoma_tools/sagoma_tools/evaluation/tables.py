@@ -142,23 +142,14 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
     console.print(table)
 
 
-def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> None:
-    """Print one row a stage: median, 95th percentile, largest."""
-    console.print(_percentiles("time of each stage", "stage", latency_ms, 2))
-
-
 def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -> None:
     """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
-    console.print(_percentiles("since exposure", "point", ages_ms, 1))
+    table = plain_table("since exposure", ["point"], ["p50 ms", "p95 ms", "max ms"])
+    for name, values in ages_ms.items():
+        table.add_row(name.removesuffix("_ms"), *(f"{v:.1f}" for v in np.percentile(values, [50, 95, 100])))
+    console.print(table)
     p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
     console.print(f"95 % within {budget_text(p95_ms, hz)}")
-
-
-def _percentiles(title: str, first: str, measured_ms: Mapping[str, np.ndarray], digits: int) -> Table:
-    table = plain_table(title, [first], ["p50 ms", "p95 ms", "max ms"])
-    for name, values in measured_ms.items():
-        table.add_row(name.removesuffix("_ms"), *(f"{v:.{digits}f}" for v in np.percentile(values, [50, 95, 100])))
-    return table
 
 
 def print_nodes(
