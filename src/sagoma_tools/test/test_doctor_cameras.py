@@ -195,17 +195,10 @@ def test_interface_that_does_not_serve_is_found_with_its_remedy(link, settings, 
     assert (finding.severity, finding.code) == (severity, code) and remedy in finding.remedy
 
 
-@pytest.mark.parametrize(
-    "record, settings, severity, code, value",
-    [
-        (RECORD, {"user_id": "right"}, Severity.ERROR, "user_id.differs", "'left'"),
-        (replace(RECORD, address="10.0.0.5"), {}, Severity.WARNING, "subnet.differs", "10.0.0.0/24"),
-    ],
-)
-def test_camera_that_is_another_one_is_found(monkeypatch, record, settings, severity, code, value):
-    monkeypatch.setattr(cameras, "discover_at", lambda address: FoundCamera(record, LINK.address))
-    finding = worst(check_identity(replace(SETTINGS, **settings), LINK))
-    assert (finding.severity, finding.code) == (severity, code) and value in finding.what
+def test_camera_that_is_another_one_is_found(monkeypatch):
+    monkeypatch.setattr(cameras, "discover_at", lambda address: FoundCamera(RECORD, LINK.address))
+    finding = worst(check_identity(replace(SETTINGS, user_id="right")))
+    assert (finding.severity, finding.code) == (Severity.ERROR, "user_id.differs") and "'left'" in finding.what
 
 
 @pytest.mark.parametrize(
@@ -239,9 +232,6 @@ def test_cameras_that_share_a_link_must_fit_it_together(count, code):
     assert finding.code == code and f"{24.8 * count:.0f} % of the 1000 Mbit/s" in finding.what
 
 
-def test_exposure_longer_than_a_frame_is_an_error_and_features_left_to_the_camera_are_noted():
+def test_exposure_longer_than_a_frame_is_an_error():
     finding = worst(check_timing(replace(SETTINGS, exposure_us=20_000.0)))
     assert finding.code == "exposure.longer_than_frame" and "16667 us" in finding.what
-    (exposure, left) = check_timing(replace(SETTINGS, gain=-1.0))
-    assert exposure.code == "exposure.ok"
-    assert left.code == "settings.left_to_camera" and "aravis.gain" in left.what

@@ -62,7 +62,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--bags", metavar="FOLDER", type=Path, default=Path("output"), help=help_bags)
     option("--no-machine", action="store_true", help="leave this machine out")
     option("--all", action="store_true", help="also print what is well in words")
-    option("--strict", action="store_true", help="warnings fail as errors do (exit status 2)")
     option("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run)
 
@@ -80,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     doing("examining")
     findings = list(examined(args))
     until_stopped()
-    status = exit_status(findings, args.strict)
+    status = exit_status(findings)
     if args.json:
         listed = [finding.as_dict() for finding in findings]
         print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))

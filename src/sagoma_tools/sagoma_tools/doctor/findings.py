@@ -15,6 +15,8 @@ from functools import partial
 from rich.console import Console
 from rich.text import Text
 
+from capture_rig.errors import InputError
+
 
 class Severity(IntEnum):
     """How grave a finding is: passed, good to know, costs quality or may stop working, does not work."""
@@ -65,6 +67,11 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
     return ok(about, what)
 
 
+def refused(code: str, problem: InputError, severity: Callable[[str, str, str], Finding] = error) -> Finding:
+    """Return what a reader says of a file that it cannot use."""
+    return severity(code, f"{problem.where}: {problem.what}" if problem.where else problem.what, problem.remedy)
+
+
 Found = Finding | Iterable[Finding] | None
 
 
@@ -75,27 +82,19 @@ def about(subject: str, *checks: Found) -> Iterator[Finding]:
             yield replace(finding, subject=subject)
 
 
-def exit_status(findings: Sequence[Finding], strict: bool = False) -> int:
-    """0 fine (or notes only), 1 warnings, 2 errors; with ``strict`` warnings are as bad as errors."""
-    gravest = max((finding.severity for finding in findings), default=Severity.OK)
-    if strict and gravest is Severity.WARNING:
-        gravest = Severity.ERROR
-    return max(gravest - Severity.NOTE, 0)
+def exit_status(findings: Sequence[Finding]) -> int:
+    """0 fine (or notes only), 1 warnings, 2 errors."""
+    return max((max(finding.severity - Severity.NOTE, 0) for finding in findings), default=0)
 
 
 def summary(findings: Sequence[Finding]) -> str:
     """Return one line: how many of each, and the first of the gravest ones."""
     counts = Counter(finding.severity for finding in findings)
-    counted = [_counted(counts[kind], kind.name.lower()) for kind in (Severity.ERROR, Severity.WARNING) if counts[kind]]
-    if not counted:
-        return f"no errors, no warnings ({_counted(counts[Severity.OK], 'check')} passed)"
+    if not counts[Severity.ERROR] + counts[Severity.WARNING]:
+        return f"no errors, no warnings ({counts[Severity.OK]} passed)"
     first = max(findings, key=lambda finding: finding.severity)
     where = f"{first.subject}: " if first.subject else ""
-    return f"{', '.join(counted)}; first: {where}{first.what}"
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+    return f"errors: {counts[Severity.ERROR]}, warnings: {counts[Severity.WARNING]}; first: {where}{first.what}"
 
 
 STYLES = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}

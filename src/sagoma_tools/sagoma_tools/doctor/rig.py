@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import itertools
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +17,21 @@ from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
 from capture_rig.lens import is_fisheye
 from capture_rig.rig import Rig, load_rig
-from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
+from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, load_session
 from capture_rig.verdict import GOOD, REDO, USABLE
-from capture_rig.video import VideoFacts, examine_video, session_findings
-from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
+from capture_rig.video import VideoFacts, ended_findings, examine_video
+from capture_rig.visibility import MOST_PIXEL_M, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
 from .cameras import BUSY, GIGABIT, JUMBO_MTU, footage_shape, wire_bytes
-from .findings import Finding, about, error, graded, note, warning
+from .findings import Finding, about, error, graded, note, refused, warning
 
 Array = npt.NDArray[np.float64]
 
 SUBJECT, SUFFIX = "rig", ".report.yaml"  # of the report that sagoma calibrate writes beside its result
+ENTRIES = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}  # of a camera matrix
 LENS_FOLDERS = (".", "intrinsics", "calibration/intrinsics", "../intrinsics")  # beside the rig file
 CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate intrinsics"
 STEP_M, BREAST_M = 0.2, 1.0
@@ -85,7 +85,7 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
     try:
         rig = load_rig(path)
     except InputError as problem:
-        yield replace(error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
+        yield from about(SUBJECT, refused("file.invalid", problem))
         return
     view = RigView.of(rig, path, intrinsics)
     checks = check_rig_report(view), check_number(view), check_common_view(view), check_regions(view), check_pairs(view)
@@ -115,13 +115,12 @@ def check_rig_report(view: RigView) -> Iterator[Finding]:
 def check_report(path: Path, again: str) -> Iterator[Finding]:
     """The verdict, the findings and the age of the report that a calibration left."""
     try:
-        report = read_mapping(path, "Calibrate again.")
+        report = read_mapping(path, f"{again}.")
     except InputError as problem:
-        yield warning("report.unreadable", f"{path}: {problem.what}", again)
+        yield refused("report.unreadable", problem, warning)
         return
     grade, listed = report.get("verdict"), report.get("findings")
-    whys = [each for each in listed if isinstance(each, Mapping)] if isinstance(listed, list) else []
-    reasons = [f"{why.get('what')} ({why.get('remedy')})" for why in whys]
+    reasons = [f"{why['what']} ({why['remedy']})" for why in listed] if isinstance(listed, list) else []
     text = f"{path}: {'; '.join([str(grade), *reasons])}"
     remedy = f"{again}, after what the report says"
     later = (grade == USABLE, warning, "usable", f"{remedy}, when there is time")
@@ -170,17 +169,14 @@ def needed_parts(rig: Rig) -> Rig:
 
 
 def carried(rig: Rig) -> str:
-    """Say how fast a link carries all pictures of the cameras, and what the volume needs of them: which that is."""
-    named = (f"{each.name} {region_text(needed_region(each, rig.volume))}" for each in rig.cameras)
+    """Say how fast a link carries all pictures of the cameras, and what the volume needs of them: which that is, in the
+    words of the clients' settings."""
+    regions = {each.name: asdict(needed_region(each, rig.volume)) for each in rig.cameras}
+    named = (f"{name} {', '.join(f'{key} {px}' for key, px in region.items())}" for name, region in regions.items())
     return (
         f"a link of {GIGABIT} Mbit/s carries all cameras at {most_hz(rig):.0f} Hz, at {most_hz(needed_parts(rig)):.0f} "
         f"Hz what the volume needs ({'; '.join(named)})"
     )
-
-
-def region_text(region: Region) -> str:
-    """Return a region in the words of the client's settings."""
-    return ", ".join(f"{name} {value}" for name, value in asdict(region).items())
 
 
 def most_hz(rig: Rig) -> float:
@@ -214,19 +210,15 @@ def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     yield from check_report(report, CALIBRATE_LENS)
     path = report.with_name(f"{camera.name}.yaml")
     try:
-        own = load_camera_info(path, camera).K[[0, 1, 0, 1], [0, 1, 2, 2]] if path.is_file() else None
+        own = load_camera_info(path, camera).K if path.is_file() else camera.K
     except InputError as problem:
-        yield warning("intrinsics.unreadable", f"{path}: {problem.what}", CALIBRATE_LENS)
+        yield refused("intrinsics.unreadable", problem, warning)
         return
-    of_rig = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
-    if own is not None and np.abs(own - of_rig).max() > SAME_LENS_PX:
-        entries = zip(("fx", "fy", "cx", "cy"), own, of_rig, strict=True)
-        differences = ", ".join(
-            f"{name} {mine:.1f}, in the rig {its:.1f}" for name, mine, its in entries if mine != its
-        )
+    if np.abs(own - camera.K).max() > SAME_LENS_PX:
+        mine, its = (", ".join(f"{k} {K[at]:.1f}" for k, at in ENTRIES.items()) for K in (own, camera.K))
         remedy = f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
         remedy += "else remove the old camera_info."
-        yield warning("intrinsics.differ", f"{path} differs from the rig file: {differences}", remedy)
+        yield warning("intrinsics.differ", f"{path} differs from the rig file: {mine}, in the rig {its}", remedy)
 
 
 def check_lens(camera: CameraModel) -> Iterator[Finding]:
@@ -242,13 +234,12 @@ def check_lens(camera: CameraModel) -> Iterator[Finding]:
         (abs(fx / fy - 1) > ASPECT_PRIOR, warning, "unequal_focal", again),
         (not NARROW_DEG < across < (FISHEYE_DEG if fisheye else WIDE_DEG), warning, "field_of_view", again),
     )
-    share, text = camera.unused_share, unused_text(camera)
-    if share > UNUSED_USABLE and not fisheye:
-        yield warning("lens.border", text, again)
-    elif share > UNUSED_GOOD:
+    share = camera.unused_share
+    if share > UNUSED_GOOD:
         remedy = "Keep people out of the image's corners"
         remedy += "." if fisheye else f", or {CALIBRATE_LENS} --model auto, with a ChArUco board in them."
-        yield note("lens.unused", text, remedy)
+        much = share > UNUSED_USABLE and not fisheye
+        yield (warning if much else note)("lens.unused", unused_text(camera), remedy)
 
 
 def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
@@ -275,46 +266,32 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
 
 def check_footage(camera: CameraModel, session: Path, videos: dict[str, VideoFacts]) -> Iterator[Finding]:
     """Whether a camera's footage and background can be read and have the calibrated size; ``videos`` gets the video."""
-    size = (camera.width, camera.height)
     try:
-        video = find_footage(session, camera.name, VIDEO_SUFFIXES)
-        if video is None:
-            raise InputError(f"there is no {camera.name}.mp4", where=str(session))
-        sizes = {"footage": footage_shape(video)}
-        if background := _background(session, camera.name):
-            sizes["background"] = footage_shape(background)
-        videos[camera.name] = examine_video(video)
+        paths = {"footage": find_footage(session, camera.name, VIDEO_SUFFIXES)}
+        paths["background"] = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+        sizes = {kind: footage_shape(path)[1::-1] for kind, path in paths.items() if path is not None}
+        if paths["footage"] is not None:
+            videos[camera.name] = examine_video(paths["footage"])
     except InputError as problem:
-        text = f"{problem.where}: {problem.what}"
-        yield error("footage.unreadable", text, "Record the session again, or mend the file.")
+        yield refused("footage.unreadable", problem)
         return
-    for kind, (height, width, *_) in sizes.items():
-        text = f"{width} x {height} pixels, the camera was calibrated at {size[0]} x {size[1]}"
+    for kind, (width, height) in sizes.items():
+        text = f"{width} x {height} pixels, the camera was calibrated at {camera.width} x {camera.height}"
         remedy = "Record at the calibrated size, or calibrate at the recorded one."
-        yield graded(kind, text, ((width, height) != size, error, "size_differs", remedy))
-
-
-def _background(session: Path, camera: str) -> Path | None:
-    return find_footage(session, f"{camera}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+        yield graded(kind, text, ((width, height) != (camera.width, camera.height), error, "size_differs", remedy))
 
 
 def check_session(videos: Mapping[str, VideoFacts], session: Path) -> Iterator[Finding]:
-    """Whether the videos have one rate and equally many frames, can be read to their ends, and have backgrounds."""
-    rates = {camera: video.fps for camera, video in videos.items()}
-    if rates and not _states_rate(session) and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
-        listed = ", ".join(f"{camera} {f'{rate:g}' if rate else 'unknown'}" for camera, rate in rates.items())
-        remedy = "Give the true rate as 'fps' in session.yaml."
-        yield error("footage.rate", f"the videos' headers give no one frame rate ({listed})", remedy)
-    for found in session_findings(videos):
+    """Whether the session can be loaded, its videos can be read to one end, and every camera has a background."""
+    for found in ended_findings(videos) if videos else ():
         yield warning("footage.doubtful", found.what, found.remedy)
-    frames = {camera: video.passed.frames for camera, video in videos.items()}
-    if len(set(frames.values())) > 1:
-        lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
-        remedy = "Cut them so that frame k of all was taken at the same instant."
-        yield warning("footage.lengths_differ", f"the videos have different numbers of frames ({lengths})", remedy)
-    if bare := [camera for camera in videos if _background(session, camera) is None]:
-        remedy = f"Add {bare[0]}_background.mp4 or .png."
-        yield error("background.missing", f"there is none for {', '.join(bare)}", remedy)
+    try:
+        backgrounds = load_session(session).backgrounds
+    except InputError as problem:
+        yield refused("footage.invalid", problem)
+        return
+    if bare := [camera for camera in videos if camera not in backgrounds]:
+        yield error("background.missing", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4.")
 
 
 def across_deg(camera: CameraModel) -> float:
@@ -342,10 +319,3 @@ def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
         return folders
     named = asked.get("intrinsics") if isinstance(asked, Mapping) else None
     return (Path(named), *folders) if isinstance(named, str) else folders
-
-
-def _states_rate(session: Path) -> bool:
-    """Return whether the session states a frame rate, one that loading it does not refuse."""
-    with contextlib.suppress(InputError):
-        return stated_rate(session / "session.yaml") is not None
-    return False
