@@ -23,7 +23,7 @@ CANVASES = {camera.name: GraphFacts(0, rig=RIG).canvas(camera.name) for camera i
 
 
 def node(name):
-    return NodeFacts(name, "active", 1, NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
+    return NodeFacts(name, "active", 1, NodeReport(b"\0", "running", lead_s=-3e-4))
 
 
 def reporting(node, **changes):
@@ -32,7 +32,7 @@ def reporting(node, **changes):
 
 
 def silhouettes(camera, **changes):
-    facts = SilhouetteFacts(camera, 1, 60, CANVASES[camera], 60, share=0.05, changes=59, age_s=0.02)
+    facts = SilhouetteFacts(camera, CANVASES[camera], 60, share=0.05, changes=59, age_s=0.02)
     return replace(facts, **changes)
 
 
@@ -79,14 +79,14 @@ C2 = CLIENTS["cam02"]
     "changed, severity, code, value",
     [
         (replace(C2, state=None, report=None), "ERROR", "node.silent", ""),
-        (replace(C2, state=None), "WARNING", "node.unresponsive", ""),
+        (replace(C2, state=None), "ERROR", "node.silent", "does not answer:"),
         (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
         (replace(C2, state="inactive"), "WARNING", "state.inactive", ""),
         (replace(C2, copies=2), "ERROR", "node.duplicate", "2 nodes call themselves /cam02/camera_client"),
         (reporting(C2, level=b"\2", message="no camera: it is off"), "ERROR", "says.error", "no camera: it is off"),
         (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
         (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
-        (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "500.4 ms behind"),
+        (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "501.2 ms behind"),
         (reporting(C2, lead_s=0.029), "WARNING", "clock.imprecise", "29.0 ms ahead"),
     ],
 )
@@ -95,25 +95,16 @@ def test_ill_node_is_named(changed, severity, code, value):
     assert found[:3] == (severity, "camera cam02", code) and value in found[3]
 
 
-def test_clock_within_what_can_be_told_is_no_trouble():
-    # behind by 20 ms at the most, or by nothing: the answers take as long
-    assert troubles(graph([replace(reporting(C2, lead_s=-0.020), round_trip_s=0.021)])) == []
-
-
 @pytest.mark.parametrize(
     "changes, severity, code, value",
     [
-        ({"publishers": 2}, "ERROR", "silhouettes.duplicate_publisher", "2 "),
         ({"masks": 0, "share": 0.0}, "ERROR", "silhouettes.not_arriving", "none arrives"),
-        ({"masks": 0, "share": 0.0, "infos": 0}, "WARNING", "silhouettes.none_sent", ""),
         ({"share": 0.0}, "WARNING", "silhouettes.blank", "cam01, cam03"),
         ({"share": 0.7}, "ERROR", "silhouettes.flooded", "70.0 %"),
         ({"changes": 0}, "ERROR", "silhouettes.frozen", "60 came"),
-        ({"bad": 1}, "ERROR", "silhouettes.undecodable", ""),
         ({"lost": 30}, "WARNING", "network.loss", "30 of 90 silhouettes"),
         ({"age_s": -0.4}, "ERROR", "stamps.ahead", "0.400 s"),
         ({"age_s": 3.0}, "WARNING", "latency.old", "3.0 s"),
-        ({"canvas": None}, "WARNING", "camera_info.missing", ""),
         ({"canvas": CANVASES["cam02"]._replace(fx=480.0)}, "ERROR", "camera_info.differs", "fx 480.00"),
     ],
 )
@@ -122,21 +113,11 @@ def test_implausible_silhouettes_are_named(changes, severity, code, value):
     assert found[:3] == (severity, "camera cam02", code) and value in found[3]
 
 
-def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes_and_alone_no_server():
+def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes():
     text = "uncalibrated: no silhouettes; run sagoma calibrate"
-    clients = tuple(reporting(node, level=b"\1", message=text) for node in CLIENTS.values())
-    facts = graph([clients[1]], [silhouettes("cam02", masks=0, share=0.0, canvas=Canvas(640, 480, 0, 0, 0, 0))])
+    client = reporting(C2, level=b"\1", message=text)
+    facts = graph([client], [silhouettes("cam02", masks=0, share=0.0, canvas=Canvas(640, 480, 0, 0, 0, 0))])
     assert [(code, what) for _, _, code, what in troubles(facts)] == [("says.warning", text)]
-    alone = graph(sets=(), rig=None, nodes=clients, cameras=())
-    assert {code for _, _, code, _ in troubles(alone)} == {"says.warning"}
-    with_one_that_is = replace(alone, nodes=(*clients[:2], CLIENTS["cam03"]))
-    assert "nodes.server_missing" in {code for _, _, code, _ in troubles(with_one_that_is)}
-
-
-def test_node_that_sends_and_is_not_heard_tells_of_the_network():
-    sending = reporting(C2, values={"rate_hz": "10.0"})
-    (found,) = troubles(graph([sending], [silhouettes("cam02", masks=0, infos=0, share=0.0)]))
-    assert found[:3] == ("ERROR", "camera cam02", "silhouettes.not_arriving") and "10.0 a second" in found[3]
 
 
 def without(node, facts):
@@ -144,7 +125,7 @@ def without(node, facts):
 
 
 def test_absent_client_stranger_and_tracker_are_named():
-    stranger = SilhouetteFacts("cam77", 1, 5, Canvas(640, 480, 1, 1, 1, 1), 5, share=0.05)
+    stranger = SilhouetteFacts("cam77", Canvas(640, 480, 1, 1, 1, 1), 5, share=0.05)
     stray, absent = troubles(without(C2, graph([], [SilhouetteFacts("cam02"), stranger])))
     assert stray[:3] == ("WARNING", "graph", "cameras.not_in_rig") and "cam77" in stray[3]
     assert absent[:3] == ("ERROR", "camera cam02", "node.missing")
@@ -158,15 +139,6 @@ def test_nobody_heard_says_where_nodes_are(monkeypatch):
     finding = next(iter(graph_findings(GraphFacts(46, rig=RIG))))
     assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
     assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
-
-
-def test_server_with_another_rig_file_is_told_from_a_camera_with_another():
-    refusing = reporting(HULL, level=b"\2", message="refused: cam02: K with fx 1, but the rig says fx 2")
-    facts = graph([refusing], hull_rig_file="/old/rig.yaml")
-    assert any(subject == "hull_server" and "/old/rig.yaml" in what for _, subject, _, what in troubles(facts))
-    theirs = silhouettes("cam02", canvas=CANVASES["cam02"]._replace(fx=480.0))
-    found = [(subject, code) for _, subject, code, _ in troubles(graph([refusing], [theirs]))]
-    assert ("camera cam02", "camera_info.differs") in found and "rig.refused" not in dict(map(reversed, found))
 
 
 @pytest.mark.parametrize(
@@ -247,23 +219,20 @@ def codes(findings):
     return {finding.code for finding in findings}
 
 
-def test_every_node_is_heard_with_state_round_trip_and_silhouettes(heard):
+def test_every_node_is_heard_with_state_and_silhouettes(heard):
     clients = {"/cam01/camera_client", "/cam02/camera_client"}
     assert {node.name for node in heard.nodes} == clients | {"/hull_server", "/icp_tracker", "/ekf_tracker"}
-    for node in heard.nodes:
-        assert node.state == "active" and node.copies == 1
-        assert 0 < node.round_trip_s < 1.0
+    assert {(node.state, node.copies) for node in heard.nodes} == {("active", 1)}
     sent = {camera.camera: camera for camera in heard.cameras}
     assert sent["cam01"].masks > 10 and sent["cam01"].changes > 10 and sent["cam01"].lost == 0
     canvas = sent["cam01"].canvas  # of which 80 x 300 pixels are somebody
     assert sent["cam01"].share == pytest.approx(80 * 300 / (canvas.width * canvas.height))
     assert sent["cam02"].share == 0.0
-    assert sent["cam03"].publishers == 0 and sent["cam03"].masks == 0
+    assert sent["cam03"].masks == 0
 
 
-def test_clock_half_a_second_ahead_is_measured_to_a_round_trip(heard, found):
-    node = heard.node("/cam02/camera_client")
-    assert node.report.lead_s <= 0.5 <= node.report.lead_s + node.round_trip_s + 0.02
+def test_clock_half_a_second_ahead_is_measured(heard, found):
+    assert heard.node("/cam02/camera_client").report.lead_s == pytest.approx(0.5, abs=0.1)
     assert codes(found["camera cam02"]) >= {"clock.off", "stamps.ahead"}
     assert "clock.ok" in codes(found["camera cam01"])
 
