@@ -24,7 +24,7 @@ import psutil
 
 from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
 
-from .findings import Finding, about, error, note, ok, warning
+from .findings import Finding, about, error, graded, ok, warning
 from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
 
 PORT = 7398  # below all ROS domains' ports
@@ -60,11 +60,6 @@ class RosSettings:
         reach = "LOCALHOST" if alone else get(RANGE_VARIABLE) or "SUBNET"
         peers, profile = tuple(filter(None, get(PEERS_VARIABLE, "").split(";"))), Path(get(PROFILE_VARIABLE, "")).name
         return cls(int(domain) if domain.isdigit() else 0, reach, peers, profile, get("RMW_IMPLEMENTATION", ""))
-
-    def __str__(self) -> str:
-        peers = f", peers {', '.join(self.peers)}" if self.peers else ""
-        profile = f", profile {self.profile}" if self.profile else ""
-        return f"nodes in ROS_DOMAIN_ID {self.domain}, discovery {self.reach}{peers}{profile}"
 
 
 def settings_here() -> dict[str, Any]:
@@ -232,24 +227,16 @@ def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[
         remedy = f"Check the address; see: ip route get {address}"
         yield error("way.none", f"there is no way to {address} from this machine", remedy)
         return
-    if link.loopback:
-        yield note("way.local", f"{address} is this machine")
     if not answers:
         text = f"{address} does not answer through {link.name}: it is off, or a firewall is silent"
         yield warning("answer.none", text, f"ping {address}; open UDP between the machines.")
         return
     wanted = min(link.mtu, max(SIZES))
     largest = next((size for size in (wanted, *SIZES) if size <= wanted and reaches(address, size)), 0)
-    if largest == wanted:
-        yield ok("mtu", f"packets of {largest} bytes reach {address} through {link.name}")
-        return
-    reach = f"{largest or f'less than {SIZES[-1]}'} bytes at most"
-    yield error(
-        "mtu.too_large",
-        f"{link.name} sends packets of {link.mtu} bytes, but {reach} reach {address}: larger messages vanish",
-        "Give both machines and the switch between them one MTU: "
-        f"sudo ip link set {link.name} mtu {largest or SIZES[-1]}, or raise the others'.",
-    )
+    text = f"of {link.name}'s packets of {link.mtu} bytes, {largest or f'less than {SIZES[-1]}'} bytes reach {address}"
+    remedy = "Larger messages vanish. Give both machines and the switch between them one MTU: sudo ip link set "
+    remedy += f"{link.name} mtu {largest or SIZES[-1]}, or raise the others'."
+    yield graded("mtu", text, (largest < wanted, error, "too_large", remedy))
 
 
 def check_domain(peer: Peer) -> Finding | None:
@@ -272,14 +259,15 @@ def check_discovery(peer: Peer) -> Finding | None:
     if peer.here in theirs.peers or peer.there in ours.peers:
         return ok("discovery", "one of both machines names the other as a peer")
     name = f"sagoma ... --peers {peer.here} there or --peers {peer.there} here, at every start"
-    remedy = f"{name}, or {RANGE_VARIABLE}=SUBNET on both where multicast passes. {DOCS}"
-    for settings, place in ((theirs, "there"), (ours, "here")):
-        if settings.reach in ALONE and settings.peers:
-            text = f"{place}, only peers are heard ({', '.join(settings.peers)}): neither machine names the other"
-            return error("peers.missing", text, remedy)
-        if settings.reach in ALONE:
-            text = f"{RANGE_VARIABLE} is {settings.reach} {place}, and neither machine names the other as a peer"
-            return error("discovery.local", text, remedy)
+    alone = [
+        f"{place} {RANGE_VARIABLE} is {each.reach}{f' and {each.peers} are heard' if each.peers else ''}"
+        for each, place in ((theirs, "there"), (ours, "here"))
+        if each.reach in ALONE
+    ]
+    if alone:
+        text = f"{', '.join(alone)}: neither machine names the other as a peer"
+        remedy = f"{name}, or {RANGE_VARIABLE}=SUBNET on both where multicast passes. {DOCS}"
+        return error("discovery.local", text, remedy)
     text = f"nodes run there in ROS_DOMAIN_ID {ours.domain}, but their multicast does not arrive here"
     why = "A switch with IGMP snooping, Wi-Fi, another subnet, or a firewall keeps it back: give addresses, "
     blocked = peer.multicast is False
@@ -301,4 +289,3 @@ def check_settings(peer: Peer) -> Iterator[Finding]:
     if node.middleware != ours.middleware and {node.middleware, ours.middleware} != {"", "rmw_fastrtps_cpp"}:
         text = f"another middleware runs there: RMW_IMPLEMENTATION={node.middleware or 'not set'}"
         yield error("middleware.differs", text, "The same RMW_IMPLEMENTATION on all machines.")
-    yield ok("settings", "; ".join(map(str, peer.nodes)))

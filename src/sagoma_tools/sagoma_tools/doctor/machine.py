@@ -86,8 +86,7 @@ def check_aravis() -> Finding:
     try:
         import_aravis()
     except InputError as problem:
-        remedy = "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup"
-        return error("aravis.missing", problem.what, remedy)
+        return error("aravis.missing", problem.what, "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup")
     return ok("aravis", "can be imported")
 
 
@@ -126,9 +125,9 @@ def check_clock() -> Finding:
 
 def check_ros_environment() -> Iterator[Finding]:
     """Environment variables that decide whom nodes hear."""
-    domain = os.environ.get("ROS_DOMAIN_ID", "")
-    valid = domain == "" or (domain.isdigit() and int(domain) <= HIGHEST_DOMAIN)
-    text = f"ROS_DOMAIN_ID = {domain or '0 (not set)'}; it must be the same on all machines"
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    valid = domain.isdigit() and int(domain) <= HIGHEST_DOMAIN
+    text = f"ROS_DOMAIN_ID = {domain}; it must be the same on all machines"
     remedy = f"Give a number from 0 to {HIGHEST_DOMAIN}: above, ports collide with those of outgoing connections."
     yield graded("ros", text, (not valid, error, "domain_invalid", remedy))
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
@@ -235,17 +234,15 @@ def check_buffer(wanted: int) -> Finding:
     except OSError:
         text = "unknown: this container does not show net.core.rmem_max"
         return note("rmem_max.unknown", text, "Look at it on the host.")
-    remedy = f"sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in /etc/sysctl.d/60-cameras.conf)"
-    text = f"net.core.rmem_max = {value} bytes, wanted {wanted}: bursts of messages and frames are lost"
-    small = warning("rmem_max.small", text, remedy)
-    return small if value < wanted else ok("rmem_max", f"net.core.rmem_max = {value} bytes")
+    remedy = f"Bursts of messages and frames are lost: sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in "
+    remedy += "/etc/sysctl.d/60-cameras.conf)"
+    text = f"net.core.rmem_max = {value} bytes, wanted {wanted}"
+    return graded("rmem_max", text, (value < wanted, warning, "small", remedy))
 
 
 def check_profile() -> Finding | None:
     """The middleware's profile: one that is named and is not there is ignored silently."""
     profile = os.environ.get(PROFILE_VARIABLE) or os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE", "")
-    text = f"{profile} does not exist, and the middleware ignores that silently"
-    remedy = f"export {PROFILE_VARIABLE}=/path/to/config/dds/fastdds.xml, or unset it."
-    if profile and not Path(profile).is_file():
-        return error("dds_profile.missing", text, remedy)
-    return ok("dds_profile", profile) if profile else None
+    remedy = f"It is not there: export {PROFILE_VARIABLE}=/path/to/config/dds/fastdds.xml, or unset it."
+    missing = (not Path(profile).is_file(), error, "missing", remedy)
+    return graded("dds_profile", profile, missing) if profile else None
