@@ -34,8 +34,7 @@ def data_set(tmp_path_factory):
 @pytest.fixture(scope="module")
 def imported(data_set, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sessions") / "walking"
-    summary = import_trial(trial_of(data_set.root), folder, CAMERAS)
-    return folder, summary
+    return folder, import_trial(trial_of(data_set.root), folder, CAMERAS)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +60,7 @@ def images(path):
 
 def test_all_cameras_have_every_common_frame_from_the_sixth_on_and_a_flash_of_light_at_one(imported, films):
     assert load_session(imported[0]).fps == 60.0
-    assert {imported[1].frames, *map(len, films.values())} == {LAST_COMMON - FIRST + 1}
+    assert {*map(len, films.values())} == {LAST_COMMON - FIRST + 1}
     for name, film in films.items():
         brightness = film.mean(axis=(1, 2, 3))
         others = np.delete(brightness, FLASH_COMMON - FIRST)
@@ -82,9 +81,9 @@ def test_footage_is_the_data_sets_own_pixel_for_pixel_in_colour_and_grey(data_se
 
 
 def test_the_empty_room_in_the_footages_light_is_taken_without_its_first_images(data_set, imported):
-    folder, summary = imported
+    folder, said = imported
     for camera, name in NAMES.items():
-        assert summary.empty_rooms[camera] == f"Background_2_({camera}).avi"
+        assert f"empty room of {camera}: Background_2_({camera}).avi" in said
         empty = images(load_session(folder).backgrounds[name])
         assert len(empty) == 8  # 13 less the five at the begin, which are black here
         assert empty.mean(axis=(1, 2, 3)).min() > 20
@@ -104,10 +103,10 @@ def test_calibration_projects_points_where_opencv_puts_them(data_set, imported):
 
 
 def test_truth_is_where_the_person_was_and_empty_in_gaps(data_set, imported):
-    folder, summary = imported
+    folder, said = imported
     truth = load_session(folder).truth
     known = np.isfinite(truth.points_world).all(axis=(1, 2))
-    assert (truth.frames[known] + FIRST).tolist() == WITH_TRUTH and summary.frames_with_truth == len(WITH_TRUTH)
+    assert (truth.frames[known] + FIRST).tolist() == WITH_TRUTH and f"complete in {len(WITH_TRUTH)} of" in said[-1]
     for frame, points in zip(truth.frames[known] + FIRST, truth.points_world[known], strict=True):
         for index, joint in JOINT_OF_POINT.items():
             assert np.linalg.norm(points[index] - data_set.joints[frame][joint]) < 1e-3, (frame, joint)
@@ -160,9 +159,9 @@ def test_footage_alone_needs_no_motion_capture(copy, tmp_path):
         path.unlink()
     with pytest.raises(InputError, match=r"Walking_1\.c3d: cannot be read .*--no-truth"):
         import_trial(trial_of(copy), tmp_path / "out", CAMERAS)
-    summary = import_trial(trial_of(copy), tmp_path / "out", ("C2",), (6, 8), with_truth=False)
+    said = import_trial(trial_of(copy), tmp_path / "out", ("C2",), (6, 8), with_truth=False)
     session = load_session(tmp_path / "out")
-    assert session.truth is None and summary.frames == 3
+    assert session.truth is None and said[0] == "S2 Walking_1: 3 frames of C2"
     assert session.fps == 60.0
 
 
@@ -185,10 +184,13 @@ def other_size(root):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (missing("S2/Image_Data/Walking_1_(C2).avi"), r"\(C2\)\.avi: is not there.*has Walking_1"),
+        (
+            missing("S2/Image_Data/Walking_1_(C2).avi"),
+            r"\(C2\)\.avi: is not there.*has Walking_1_\(BW1\), Walking_1_\(C1\)",
+        ),
         (no_movie, r"\(C2\)\.avi: cannot be opened as a video"),
         (missing("S2/Calibration_Data/BW1.cal"), r"BW1\.cal: is not there"),
-        (missing("S2/Sync_Data/Walking_1_(C1).ofs"), r"Sync_Data: has no \.ofs file of camera C1"),
+        (missing("S2/Sync_Data/Walking_1_(C1).ofs"), r"\(C1\)\.ofs: is not there"),
         (missing("S2/Mocap_Data/Static.c3d"), r"Static\.c3d: cannot be read"),
         (short_movie, r"\(C3\)\.avi: ends after 5 images, before image 8"),
         (other_size, r"Background_1_\(C2\)\.avi: its images have shape \(120, 160, 3\)"),
@@ -206,8 +208,11 @@ def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(copy, tmp_path,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("OUT --subject S7 --action Walking --cameras C1", "has no folder 'S7'. It has S2"),
-        ("OUT --subject S2 --action Jog --cameras C1", "Jog_1_(C1).ofs: is not there. Sync_Data has Walking_1"),
+        (
+            "OUT --subject S7 --action Walking --cameras C1",
+            "S7/Sync_Data/Walking_1_(C1).ofs: is not there. Unpack Sync_Data of S7",
+        ),
+        ("OUT --subject S2 --action Jog --cameras C1", "Jog_1_(C1).ofs: is not there. S2 has Walking_1_(BW1)"),
         ("OUT --subject S2 --action Walking --cameras C1 --frames 1 9", "--frames: 1 9 is not a range"),
         ("OUT --subject S2 --action Walking --cameras C1 --frames 9 8", "--frames: 9 8 is not a range"),
         ("OUT --subject S2 --action Walking --cameras C1 --frames 30 90", "too early. Import fewer frames"),
