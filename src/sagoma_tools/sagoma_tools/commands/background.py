@@ -9,9 +9,8 @@ import argparse
 import contextlib
 import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,13 +60,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--countdown", type=number("s", 0, 3600, whole=True), default=COUNTDOWN_S, metavar="S", help=help_countdown)
     option("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
     option("--repeat", action="store_true", help="only those without a background, or whose background is no good")
-    option(
-        "--retries",
-        type=number("times", 0, 100, whole=True),
-        default=1,
-        metavar="N",
-        help="retry failed cameras so often (default: 1)",
-    )
     option("--expect", type=NODES, default=1, metavar="N", help="wait until so many camera clients are found")
     option("--wait", type=SECONDS, default=5.0, metavar="S", help="... but no longer than this")
     option("--timeout", type=SECONDS, default=START_TIMEOUT_S, metavar="S", help="for a camera's frames to come")
@@ -107,7 +99,8 @@ def run(args: argparse.Namespace) -> int:
 def run_from_footage(console: Console, sources: Sequence[str]) -> int:
     """Write VIDEO_background.npz beside every video, and say where it is uncertain; 1 where much of one is."""
     worst = 0
-    for video in _videos(sources):
+    named = (load_session(path).videos.values() if path.is_dir() else [path] for path in map(Path, sources))
+    for video in (video for of_source in named for video in of_source):
         model, uncertain = background_of_footage(sampled_frames(video), str(video))
         path = video.with_name(f"{video.stem}_background.npz")
         model.save(path)
@@ -119,17 +112,6 @@ def run_from_footage(console: Console, sources: Sequence[str]) -> int:
             console.print(text)
         worst = max(worst, int(share > MUCH_UNCERTAIN))
     return worst
-
-
-def _videos(sources: Sequence[str]) -> list[Path]:
-    """Return the videos that are named, and those of the cameras of the sessions that are. InputError for neither."""
-    found: list[Path] = []
-    for source in map(Path, sources):
-        if source.is_dir():
-            found += [video for _, video in sorted(load_session(source).videos.items())]
-        else:
-            found.append(source)
-    return found
 
 
 def sampled_frames(video: Path) -> list[np.ndarray]:
@@ -152,39 +134,27 @@ def train(
     stop: threading.Event,
     args: argparse.Namespace,
 ) -> list[TrainingOutcome]:
-    """Count down and train the clients ``names``, again those that failed; return the last outcome of each."""
+    """Count down and train the clients ``names``; return the outcome of each."""
 
-    def wanted(names: Sequence[str], show: Callable[[str], None]) -> bool:
+    def wanted() -> bool:
         show("   ".join(f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names))
         return not stop.is_set()
 
-    outcomes = {name: TrainingOutcome(label_of(name), "cancelled") for name in names}
-    pending, prompt = list(names), "leave the room"
-    for attempt in range(1 + args.retries):
-        if not count_down(console, prompt, args.countdown, stop):
-            break
-        console.print(f"learning: {', '.join(map(label_of, pending))}")
-        trained = train_backgrounds(
-            link.node, diagnostics, pending, args.timeout, partial(wanted, pending, doing("frames"))
-        )
-        until_stopped()
-        outcomes |= dict(zip(pending, trained, strict=True))
-        # where no training took place, an empty room would not help
-        pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
-        if not pending:
-            break
-        prompt = f"leave the room for {', '.join(map(label_of, pending))}"
-        if attempt < args.retries:
-            console.print(training_table([outcomes[name] for name in pending]))
+    if not count_down(console, args.countdown, stop):
+        return [TrainingOutcome(label_of(name), "cancelled") for name in names]
+    console.print(f"learning: {', '.join(map(label_of, names))}")
+    show = doing("frames")
+    outcomes = train_backgrounds(link.node, diagnostics, names, args.timeout, wanted)
+    until_stopped()
     console.bell()
-    return list(outcomes.values())
+    return outcomes
 
 
-def count_down(console: Console, prompt: str, seconds: int, stop: threading.Event) -> bool:
-    """Show "PROMPT: 10 s" and so on down to 1, then beep; False when ``stop`` was set meanwhile."""
-    show = doing(prompt)
+def count_down(console: Console, seconds: int, stop: threading.Event) -> bool:
+    """Ask to leave the room, show the seconds down to 1, then beep; False when ``stop`` was set meanwhile."""
+    show = doing("leave the room")
     if seconds and not console.is_terminal:
-        console.print(f"{prompt}: {seconds} s")
+        console.print(f"leave the room: {seconds} s")
     for left in range(seconds, 0, -1):
         show(f"{left} s")
         if stop.wait(1.0):
@@ -233,18 +203,14 @@ def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
     """Return one line a camera, and one more for each further finding."""
     table = plain_table("", ("camera", "verdict"), ("frames", "noise", "moved %"), ("why", "what to do"))
     for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
+        report, figures = outcome.report, ("", "", "")
+        if report is not None and report.frames:
+            figures = (str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}")
         first, *others = _reasons(outcome)
-        table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *_columns(outcome), *first)
+        table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *figures, *first)
         for other in others:
             table.add_row("", "", "", "", "", *other)
     return table
-
-
-def _columns(outcome: TrainingOutcome) -> tuple[str, str, str]:
-    report = outcome.report
-    if report is None or not report.frames:
-        return "", "", ""
-    return str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}"
 
 
 def _reasons(outcome: TrainingOutcome) -> list[tuple[str, str]]:
