@@ -29,14 +29,13 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """A node: the package and executable that ``ros2 run`` takes, its module, its name, and its parameters.
+    """A node: the module that runs it (of the package and, by the node's name, the executable that ``ros2 run`` takes),
+    its name, and its parameters.
 
     namespace : "/" of the server, "/NAME" of a camera, below the graph's own where it has one.
     parameters : dotted keys; values are bool, int, float, str or lists of one of them.
     """
 
-    package: str
-    executable: str
     module: str
     name: str
     namespace: str
@@ -168,17 +167,15 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
         "icp_tracker": {"initial_pose.rig_file": str(rig_file), **known},
         "ekf_tracker": {},
     }
-    modules = {"hull_server": "hull_node", "icp_tracker": "icp_node", "ekf_tracker": "ekf_node"}
-    return [
-        NodeSpec(name, name, f"{name}.{modules[name]}", name, "/", Role.SERVER, parameters[name])
-        for name in SERVER_NODES
-    ]
+    modules = ("hull_server.hull_node", "icp_tracker.icp_node", "ekf_tracker.ekf_node")
+    named = zip(modules, SERVER_NODES, strict=True)
+    return [NodeSpec(module, name, "/", Role.SERVER, parameters[name]) for module, name in named]
 
 
 def camera_node(name: str, parameters: Mapping[str, Any]) -> NodeSpec:
     """Return the camera client of one camera."""
     given = {"camera_name": name, **parameters}
-    return NodeSpec(CAMERA_NODE, CAMERA_NODE, f"{CAMERA_NODE}.camera_node", CAMERA_NODE, f"/{name}", Role.CAMERA, given)
+    return NodeSpec(f"{CAMERA_NODE}.camera_node", CAMERA_NODE, f"/{name}", Role.CAMERA, given)
 
 
 def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
@@ -267,24 +264,29 @@ def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> li
 
 ONE_PROCESS, THREE_PROCESSES = "one_process", "three_processes"
 SERVER_LAYOUTS = (ONE_PROCESS, THREE_PROCESSES)
-SERVER_PACKAGE, SERVER_EXECUTABLE, SERVER_MODULE = "mocap_pipeline", "mocap_server", "mocap_pipeline.server_node"
+SERVER_EXECUTABLE, SERVER_MODULE = "mocap_server", "mocap_pipeline.server_node"
 
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """A process: the package and executable that ``ros2 run`` takes, its module, and its nodes.
+    """A process: its module and its nodes. label : a short name for files and tables."""
 
-    label : a short name for files and tables.
-    """
-
-    package: str
-    executable: str
     module: str
     label: str
     nodes: tuple[NodeSpec, ...]
 
     def __str__(self) -> str:
         return ", ".join(node.full_name for node in self.nodes)
+
+    @property
+    def package(self) -> str:
+        """The package that ``ros2 run`` takes."""
+        return self.module.partition(".")[0]
+
+    @property
+    def executable(self) -> str:
+        """The executable that ``ros2 run`` takes."""
+        return self.nodes[0].name if len(self.nodes) == 1 else self.label
 
     @property
     def name_arguments(self) -> list[str]:
@@ -302,6 +304,5 @@ def processes_of(graph: Sequence[NodeSpec], server: str = ONE_PROCESS) -> list[P
     shared = [node for node in graph if node.role is Role.SERVER and node.name in SERVER_NODES]
     if server != ONE_PROCESS or len(shared) < len(SERVER_NODES):
         shared = []
-    together = [ProcessSpec(SERVER_PACKAGE, SERVER_EXECUTABLE, SERVER_MODULE, SERVER_EXECUTABLE, tuple(shared))]
-    alone = [ProcessSpec(n.package, n.executable, n.module, n.label, (n,)) for n in graph if n not in shared]
-    return (together if shared else []) + alone
+    together = [ProcessSpec(SERVER_MODULE, SERVER_EXECUTABLE, tuple(shared))] if shared else []
+    return together + [ProcessSpec(node.module, node.label, (node,)) for node in graph if node not in shared]

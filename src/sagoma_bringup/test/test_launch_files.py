@@ -13,7 +13,7 @@ from launch_stand_in import launched, module_of
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import SERVER_NODES, THREE_PROCESSES, build_graph, processes_of
-from sagoma_bringup.launch_arguments import ARGUMENTS, PLAY_IN_STEP
+from sagoma_bringup.launch_arguments import ARGUMENTS, PLAY_IN_STEP, RESTART_DELAY_S
 from sagoma_tools.graph import START_TIMEOUT_S
 from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 
@@ -117,8 +117,8 @@ def test_the_whole_graph_stands_below_a_namespace(argument, pushed, expected):
 
 @pytest.mark.parametrize("path", RIG_FILES, ids=lambda path: path.name)
 def test_a_node_that_dies_is_started_again_or_ends_the_launch(path):
-    for node in launched(path, **arguments_for(path, respawn_delay="0.5")):
-        assert (node.respawn, node.respawn_delay, node.on_exit) == (True, 0.5, None)
+    for node in launched(path, **arguments_for(path)):
+        assert (node.respawn, node.respawn_delay, node.on_exit) == (True, RESTART_DELAY_S, None)
     for node in launched(path, **arguments_for(path, on_exit="shutdown")):
         (shutdown,) = node.on_exit
         assert not node.respawn and shutdown.reason.endswith("has ended")
@@ -152,14 +152,15 @@ def test_rviz_shows_the_topics_of_the_namespace(monkeypatch):
     [
         ("server.launch.py", {"rig": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
         ("server.launch.py", {"rig": RIG, "params": "nowhere.yaml"}, "cannot be read"),
-        ("server.launch.py", {"rig": RIG, "respawn_delay": "soon"}, "'soon' cannot be used. Give a number from 0 .* s"),
+        ("demo.launch.py", {"rate": "soon"}, "argument rate: is soon.*[Gg]ive a number from 0"),
         ("server.launch.xml", {"rig": "package://no_such_package/rig.yaml"}, "no package 'no_such_package'"),
         ("camera.launch.py", {"camera": "cam09"}, r"cam09\.yaml: cannot be read"),
         ("camera.launch.xml", {"camera": "cam01", "params": CAMERAS / "cam02.yaml"}, "describes cam02, not cam01"),
         ("demo.launch.py", {"session": "nowhere"}, "nowhere"),
     ],
 )
-def test_what_cannot_be_used_is_refused_before_anything_starts(file, given, message):
+def test_what_cannot_be_used_is_refused_before_anything_starts(file, given, message, session):
+    given = {"session": session, **given} if file.startswith("demo") else given
     with pytest.raises(InputError, match=message):
         launched(LAUNCH / file, **given)
 
