@@ -138,13 +138,13 @@ def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(tour, tmp_p
     assert codes.count("footage.doubtful") > 1
 
 
-def test_video_damaged_so_that_nobody_is_found_is_named_last(tour, tmp_path, capsys):
+def test_video_damaged_so_that_nobody_is_found_is_named(tour, tmp_path, capsys):
     copied = transcoded(tour, tmp_path / "copied", "MJPG", FPS)
     cut_off(copied / "cam03.avi", 0.15)
     assert main(["evaluate", str(copied), "--json", "--set", "hull_server.backend=cpu"]) == 2
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert re.search(rf"cam03.avi: ends after [1-4] frames, its header promises {FRAMES}.*; no body was found", said)
-    assert said.endswith("Copy it again from where it was recorded; what was cut off cannot be used.")
+    *of_videos, nobody = capsys.readouterr().err.splitlines()
+    said = rf"cam03.avi: ends after [1-4] frames, its header promises {FRAMES}"
+    assert any(re.search(said, line) for line in of_videos) and "no body was found" in nobody
 
 
 def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(tour, tmp_path, capsys):

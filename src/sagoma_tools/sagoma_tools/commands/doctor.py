@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description=DESCRIPTION,
     )
     option = parser.add_argument
-    help_camera = "'camera PARAMS.yaml': that file, its camera, and what they need of this machine"
+    help_camera = "'camera PARAMS.yaml' is --camera PARAMS.yaml"
     option("what", nargs="?", choices=["camera"], help=help_camera)
     option("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
     help_camera = "a camera's parameter file (any number of times)"
@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
     help_regions = "write the rig file of the parts of the pictures that the volume needs, which the report lists"
     option("--regions", metavar="FILE.yaml", type=Path, help=help_regions)
-    help_lenses = "the cameras' own calibrations (default: where the rig's report says, or beside it)"
+    help_lenses = "the cameras' own calibrations (default: beside the rig file)"
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
     option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
@@ -99,12 +99,10 @@ def answer() -> int:
 
 def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
-    if args.what == "camera":
-        yield from examine_camera(args.parameters, args.open)
-    elif not args.no_machine:
+    if not args.no_machine:
         yield from examine_machine(args.bags)
-    for path in args.camera:
-        yield from examine_camera(path, args.open, host_too=False)
+    for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
+        yield from examine_camera(path, args.open)
     yield from examine_hosts(args.host)
     if args.session is not None or args.rig is not None:
         yield from examine_rig(args.rig, args.session, args.intrinsics)

@@ -11,7 +11,6 @@ from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
-from capture_rig.verdict import REDO
 from capture_rig.video import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
@@ -137,13 +136,9 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
             detections=detections,
             warned=lambda text: print(f"sagoma: {text}", file=sys.stderr),
         )
-    except InputError as nobody:
-        damaged = [finding for finding in ended_findings(came) if finding.grade == REDO] if came else []
-        if not damaged:
-            raise
-        raise InputError(f"{damaged[0].what}; {nobody.what}", remedy=damaged[0].remedy) from None
-    for finding in ended_findings(came):
-        print(f"sagoma: {finding}", file=sys.stderr)
+    finally:
+        for finding in ended_findings(came) if came else ():
+            print(f"sagoma: {finding}", file=sys.stderr)
     return tracks, min(facts.passed.frames for facts in came.values())
 
 

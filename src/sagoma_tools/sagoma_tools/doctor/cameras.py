@@ -39,7 +39,7 @@ from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.middleware import resolve_packages
 
 from .findings import Finding, about, error, graded, note, ok, refused, warning
-from .machine import Interface, check_buffer, examine_node_host, interface_to
+from .machine import Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
@@ -64,8 +64,8 @@ class CameraFile:
         return None if isinstance(self.calibration, InputError) else self.calibration.camera
 
 
-def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iterator[Finding]:
-    """Findings on the parameter file at ``path``, the camera it names, and (``host_too``) this machine.
+def examine_camera(path: Path, open_it: bool = False) -> Iterator[Finding]:
+    """Findings on the parameter file at ``path``, and the camera it names.
 
     open_it : take control of the camera, set it up as the client would, and report what it says.
     """
@@ -86,8 +86,6 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
                 yield from about(subject, check_bandwidth(sent_beside(file, link), link))
         if open_it:
             yield from about(subject, check_opened(file))
-    if host_too:
-        yield from examine_node_host()
 
 
 def read_file(path: Path) -> CameraFile:

@@ -34,13 +34,8 @@ def examine_machine(bags: Path) -> Iterator[Finding]:
     """Examine this machine; ``bags`` is the folder for recordings."""
     yield from about(SUBJECT, check_software(), check_kernels(), check_shared_memory())
     yield from about(SUBJECT, check_interfaces(), check_buffer(BUFFER_BYTES), check_profile())
-    yield from examine_node_host()
-    yield from about(SUBJECT, check_disk(bags))
-
-
-def examine_node_host() -> Iterator[Finding]:
-    """Examine what nodes need of this machine."""
     yield from about(SUBJECT, check_aravis(), check_cores(), check_memory(), check_clock(), check_ros_environment())
+    yield from about(SUBJECT, check_disk(bags))
 
 
 def check_software() -> Iterator[Finding]:

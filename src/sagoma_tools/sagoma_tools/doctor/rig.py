@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import itertools
 import time
 from collections.abc import Iterator, Mapping
@@ -37,7 +36,7 @@ CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate int
 STEP_M, BREAST_M = 0.2, 1.0
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
-NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
+NARROW_DEG, WIDE_DEG = 15.0, 130.0
 HIGH_M, LOW_M = 6.0, 0.3
 FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the same outline, mirrored
 MIN_CAMERAS = 3
@@ -66,7 +65,7 @@ class RigView:
         x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
         places = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1).reshape(-1, len(BODY_LEVELS_M), 3)
         sees = np.array([_sees(camera, places) for camera in rig.cameras])
-        lenses = (intrinsics,) if intrinsics is not None else _lens_folders(path)
+        lenses = (intrinsics,) if intrinsics is not None else tuple(path.parent / name for name in LENS_FOLDERS)
         return cls(rig, path, lenses, sees, np.array([*(low + high)[:2] / 2, BREAST_M]))
 
     def seen_by(self, count: int) -> float:
@@ -126,11 +125,7 @@ def check_report(path: Path, again: str) -> Iterator[Finding]:
     later = (grade == USABLE, warning, "usable", f"{remedy}, when there is time")
     none = (grade != GOOD, note, "no_verdict", again)
     yield graded("calibration", text, (grade == REDO, error, "redo", remedy), later, none)
-    try:
-        made_s = datetime.datetime.fromisoformat(str(report.get("date"))).timestamp()
-    except ValueError:
-        made_s = path.stat().st_mtime
-    age_s = time.time() - made_s
+    age_s = time.time() - path.stat().st_mtime
     remedy = f"Stands and lenses creep: {again}."
     yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
 
@@ -225,14 +220,15 @@ def check_lens(camera: CameraModel) -> Iterator[Finding]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
-    off, across = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height), across_deg(camera)
+    off = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height)
+    across = 2 * np.degrees(np.arctan(width / (2 * fx)))
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
     yield graded(
         "lens",
-        f"f {fx:.0f} x {fy:.0f} px, {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
+        f"f {fx:.0f} x {fy:.0f} px, as a pinhole {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
         (off > CENTRE_PRIOR, warning, "off_centre", again),
         (abs(fx / fy - 1) > ASPECT_PRIOR, warning, "unequal_focal", again),
-        (not NARROW_DEG < across < (FISHEYE_DEG if fisheye else WIDE_DEG), warning, "field_of_view", again),
+        (not NARROW_DEG < across < WIDE_DEG, warning, "field_of_view", again),
     )
     share = camera.unused_share
     if share > UNUSED_GOOD:
@@ -294,28 +290,8 @@ def check_session(videos: Mapping[str, VideoFacts], session: Path) -> Iterator[F
         yield error("background.missing", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4.")
 
 
-def across_deg(camera: CameraModel) -> float:
-    """Return the angle across the image's middle row, of the lens or of its pinhole, whichever is wider; to where the
-    lens model holds, where it does not reach the sides."""
-    row = camera.K[1, 2]
-    ideal = camera.ideal_points(np.array([[0.0, row], [camera.width - 1.0, row]]))[:, 0]
-    by_lens = float(np.degrees(np.nan_to_num(np.arctan(np.abs(ideal)), nan=camera.reach_rad).sum()))
-    return max(by_lens, float(np.degrees(2 * np.arctan(camera.width / (2 * camera.K[0, 0])))))
-
-
 def _sees(camera: CameraModel, places: Array) -> npt.NDArray[np.bool_]:
     pixels = camera.project(places)
     with np.errstate(invalid="ignore"):
         inside = (pixels >= -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)
     return np.asarray(inside.all(axis=(1, 2)))
-
-
-def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
-    """Return where the cameras' own calibrations may be: where the rig's report says, or beside the rig file."""
-    folders = tuple(rig_file.parent / name for name in LENS_FOLDERS)
-    try:
-        asked = read_mapping(rig_file.with_name(rig_file.stem + SUFFIX), "").get("asked")
-    except InputError:  # there is none, or check_report says so
-        return folders
-    named = asked.get("intrinsics") if isinstance(asked, Mapping) else None
-    return (Path(named), *folders) if isinstance(named, str) else folders
