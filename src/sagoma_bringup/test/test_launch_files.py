@@ -13,7 +13,7 @@ from launch_stand_in import launched, module_of
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import SERVER_NODES, THREE_PROCESSES, build_graph, processes_of
-from sagoma_bringup.launch_arguments import ARGUMENTS, PLAY_IN_STEP, RESTART_DELAY_S
+from sagoma_bringup.launch_arguments import PLAY_IN_STEP, RESTART_DELAY_S
 from sagoma_tools.graph import START_TIMEOUT_S
 from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 
@@ -50,14 +50,6 @@ def arguments_for(path, **more) -> dict:
 
 
 # --- the graph
-
-
-def test_there_is_a_launch_file_for_each_machine_role():
-    assert {path.name for path in FILES} == {
-        *(f"{name}.launch.py" for name in ("server", "camera", "all_in_one", "demo")),
-        *(f"{name}.launch.xml" for name in ("server", "camera")),
-    }
-    assert all(argument.description for arguments in ARGUMENTS.values() for argument in arguments)
 
 
 @pytest.mark.parametrize("server", ["one_process", THREE_PROCESSES])
@@ -163,18 +155,6 @@ def test_what_cannot_be_used_is_refused_before_anything_starts(file, given, mess
     given = {"session": session, **given} if file.startswith("demo") else given
     with pytest.raises(InputError, match=message):
         launched(LAUNCH / file, **given)
-
-
-@pytest.mark.parametrize("wrong", [{"rviz": "perhaps"}, {"start": "session"}, {"on_exit": "ignore"}])
-def test_values_outside_the_choices_are_refused_by_launch_itself(wrong):
-    with pytest.raises(RuntimeError, match="not valid"):
-        launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, **wrong)
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_a_required_argument_that_is_missing_is_named(path):
-    with pytest.raises((RuntimeError, KeyError), match=r"rig|camera|session"):
-        launched(path)
 
 
 def test_executables_of_all_launched_packages_are_there():

@@ -14,11 +14,11 @@ from rclpy.task import Future
 from rich.console import Console
 from std_srvs.srv import Trigger
 
-from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance, load_background
+from camera_client.background.model import BackgroundLearner, load_background
 from camera_client.background.training import KEY, TrainingReport
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 from sagoma_tools.cli import main
-from sagoma_tools.commands.background import count_down, exit_status, sigma_picture
+from sagoma_tools.commands.background import count_down, exit_status
 from sagoma_tools.graph.ros_link import RosLink, label_of
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
@@ -187,13 +187,6 @@ def test_show_names_what_speaks_against_a_background_and_what_changed_since_anot
     assert main(["background", "show", str(tmp_path / "later.npz"), "--against", str(saved)]) == 0
     said = capsys.readouterr().out
     assert "usable: something else than in the background of 2026-03-01T08:00:00+00:00: left at 20..3" in said
-
-
-def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():
-    sigma = np.ones((4, 6, 3), np.float32)
-    sigma[1, 2, 1] = 10.0
-    picture = sigma_picture(BackgroundModel(np.full((4, 6, 3), 99, np.float32), sigma, Provenance("test", 9, 1.0)))
-    assert picture[1, 2].sum() > picture[0, 0].sum()
 
 
 def test_footage_with_people_gives_a_background_and_says_where_it_is_uncertain(tmp_path, capsys):

@@ -101,14 +101,6 @@ def test_shares_of_nothing_are_null(error_m, false_alarms):
     assert (figures["flagged_of_bad"], figures["false_alarms"]) == (None, false_alarms)
 
 
-def test_frames_without_a_track_or_a_state_of_the_parts_say_nothing():
-    errors, parts = flagged_by_hand()
-    parts[[1, 5]] = ""  # as in the bag of a version that told no parts
-    calls = score(track_of(off(TEN, errors), parts=parts).chosen(np.arange(1, 10)), truth_of(TEN)).calls
-    assert calls.wrong.sum() == 2 and calls.clear.sum() == 4
-    assert (calls.flagged_of_bad, calls.false_alarms) == (0.0, 0.0)
-
-
 def test_a_frame_with_an_unknown_point_is_not_clear_but_may_hold_a_wrong_part():
     errors_mm = np.zeros((2, 15))
     errors_mm[0, LEFT_HAND], errors_mm[:, RIGHT_FOOT] = 300.0, np.nan
