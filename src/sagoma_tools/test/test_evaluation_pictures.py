@@ -56,7 +56,7 @@ def test_stills_show_frames_all_over_and_the_worst_one_and_work_without_a_truth(
     blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
     assert caption(blind, 4) == ("tour   frame 4   0.20 s   doubtful", False)
     assert [path.name for path in draw_stills(tmp_path / "blind", blind)] == ["overlay.png"]
-    ((height, width, _),) = {sheet.shape for sheet in sheets(blind)}
+    ((height, width, _),) = {sheet.shape for sheet in sheets(blind, range(FRAMES))}
     assert height % 2 == width % 2 == 0
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 from sagoma_tools.importers.formats import Mocap, Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
-from sagoma_tools.importers.humaneva_joints import Instants, Measures, joints, measures, segment
+from sagoma_tools.importers.humaneva_joints import Instants, joints, measures, segment
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
@@ -127,7 +127,7 @@ def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, f
 
 # --- joints
 
-SIZES = Measures(170.0, {"L": 46.0, "R": 52.0})
+SIZES = 170.0, {"L": 46.0, "R": 52.0}
 GRID_HZ = 600
 
 
@@ -154,7 +154,7 @@ def test_torso_leans_back_and_upper_arms_turn_back(person):
         placed |= {f"{segment_name}{end}": origin + arm * np.eye(3)[k] for k, end in enumerate("ALP")}
     for label, at in placed.items():
         mocap.points_mm[0, mocap.column[label]] = np.array([1000.0, 0.0, 0.0]) + at  # a body that faces +x; mm
-    found = joints(mocap, np.array([1.0]), Measures(160.0, {"L": 60.0, "R": 60.0})).points_mm
+    found, _ = joints(mocap, np.array([1.0]), 160.0, {"L": 60.0, "R": 60.0})
     # the torso, 400 long, leans back by atan(80 / 400) from 50 behind the pelvis; the neck is half way to the thorax
     lean = np.arctan2(80.0, 400.0)
     assert found["Pelvis"][0] == pytest.approx([950, 0, 0])
@@ -187,8 +187,8 @@ def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
     mocap = mocap_of(points, R_torso)
     mocap.points_mm[9, mocap.column[label]] = np.nan  # mocap frame 10
     positions = np.array([8.0, 9.0, 9.01, 9.5, 10.0, 10.99, 11.0, 12.0])
-    found = joints(mocap, positions, SIZES)
-    assert found.valid.tolist() == [True, True, False, False, False, False, True, True]
+    _, valid = joints(mocap, positions, *SIZES)
+    assert valid.tolist() == [True, True, False, False, False, False, True, True]
 
 
 def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_invalid(person):
@@ -197,10 +197,10 @@ def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_inv
     column = mocap.column
     mocap.points_mm[4, column["PELA"]] = mocap.points_mm[4, column["PELL"]]  # two axes in one
     mocap.points_mm[6, [column["LFEA"], column["LFEL"]]] = mocap.points_mm[6, [column["LFEL"], column["LFEA"]]]
-    found = joints(mocap, np.arange(1.0, 9.0), SIZES)
-    assert found.valid.tolist() == [True] * 4 + [False, True, False, True]
-    beyond = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 25.0, 25.2, 60.0]), SIZES)
-    assert beyond.valid.tolist() == [False, True, True, False, False]
+    _, valid = joints(mocap, np.arange(1.0, 9.0), *SIZES)
+    assert valid.tolist() == [True] * 4 + [False, True, False, True]
+    _, valid = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 25.0, 25.2, 60.0]), *SIZES)
+    assert valid.tolist() == [False, True, True, False, False]
 
 
 def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_path):
@@ -208,8 +208,7 @@ def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_pat
     still["RSHO"][1] = 0.0
     mp = write_mp(tmp_path / "S2.mp")
     found = measures(read_c3d(write_c3d(tmp_path / "Static.c3d", still)), mp)
-    assert found.chest_radius_mm == pytest.approx(360 / 2 - 7)
-    assert found.shoulder_offset_mm == {"L": 46.0, "R": 52.0}
+    assert found == (pytest.approx(360 / 2 - 7), {"L": 46.0, "R": 52.0})
     still["RSHO"][:] = 0.0
     with pytest.raises(InputError, match=r"Static\.c3d: both shoulder markers"):
         measures(read_c3d(write_c3d(tmp_path / "Static.c3d", still)), mp)

@@ -61,7 +61,7 @@ def add_biocv(kinds: argparse._SubParsersAction) -> None:
     parser = kinds.add_parser("biocv", help="a trial of BioCV (Evans et al. 2024): nine cameras, markers in C3D")
     parser.add_argument("trial", type=Path, help="folder of one trial: videos and markers.c3d")
     parser.add_argument("output", type=Path, help="the session folder to write")
-    help_calibration = "folder of the cameras' calibration files (default: beside the videos, or above them)"
+    help_calibration = "folder of the cameras' calibration files (default: the participant's)"
     parser.add_argument("--calibration", type=Path, metavar="FOLDER", help=help_calibration)
     help_markers = "of which markers each point is the middle, POINT: [MARKER, ...]"
     parser.add_argument("--markers", type=Path, metavar="YAML", help=help_markers)

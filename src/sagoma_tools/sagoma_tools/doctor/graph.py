@@ -14,7 +14,7 @@ from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
 from camera_client.background.training import TrainingReport
 from capture_rig.errors import InputError
-from capture_rig.rig import Rig, load_rig
+from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from sagoma_ros.middleware import RANGE_VARIABLE
 
@@ -49,7 +49,7 @@ BIG_MESSAGES = (
 
 
 def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
-    """Examine the graph of this ROS domain and a namespace, against the rig file if given, else the hull server's."""
+    """Examine the graph of this ROS domain and a namespace, against the rig file if given."""
     rig = None
     if rig_file is not None:
         try:
@@ -57,7 +57,7 @@ def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") ->
         except InputError as problem:  # the graph is examined all the same
             yield from about(SUBJECT, refused("rig.invalid", problem, note))
     facts = collect_graph(seconds, rig.names if rig else (), namespace=namespace)
-    yield from graph_findings(replace(facts, rig=rig if rig_file is not None else _hulls_rig(facts)))
+    yield from graph_findings(replace(facts, rig=rig))
 
 
 def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
@@ -279,12 +279,3 @@ def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
         (sent.share >= FLOODED, error, "flooded", f"The light or the camera was changed. {learn}"),
         (frozen, error, "frozen", "The same one again and again: cycle the camera's power; see its client's message."),
     )
-
-
-def _hulls_rig(facts: GraphFacts) -> Rig | None:
-    """Return the hull server's rig file, when it lies on this machine."""
-    path = facts.hull_rig_file
-    try:
-        return load_rig(path) if path and Path(path).is_file() else None
-    except InputError:  # the server reports it
-        return None

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage
@@ -25,14 +24,14 @@ from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns, values_of
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
-from ..graph import ANSWER_S, ROUND_S
+from ..graph import ANSWER_S
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 
 OWN_NAME, HULL = "sagoma_doctor", "/hull_server"
 FRAME_SET_TOPIC = "/hull/frame_set"
-GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
+GET_STATE = "/get_state"
 KEPT = 4096  # messages of a topic: the last minute at 60 Hz
 DECODED = 60  # masks of a camera
 ACTIVE = "active"
@@ -110,8 +109,7 @@ class SilhouetteFacts:
 class GraphFacts:
     """The running graph as heard from here.
 
-    sets : diagnostics of the hull server's frame sets. rig : the one that is expected;
-    hull_rig_file : the path of the hull server's.
+    sets : diagnostics of the hull server's frame sets. rig : the one that is expected.
     """
 
     domain: int
@@ -120,7 +118,6 @@ class GraphFacts:
     sets: tuple[Mapping[str, str], ...] = ()
     sets_hz: float = 0.0
     simulated_time: bool = False
-    hull_rig_file: str = ""
     rig: Rig | None = None
 
     def node(self, name: str) -> NodeFacts | None:
@@ -172,7 +169,6 @@ def collect_graph(
         ends_s = time.monotonic() + seconds
         requests = {name + GET_STATE: GetState.Request() for name in lifecycle}
         states = call_all(node, GetState, requests, ANSWER_S, repeatable=True)
-        hull_rig_file = _ask_rig_file(node, f"{namespace}{HULL}")
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
         copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
@@ -196,7 +192,6 @@ def collect_graph(
             tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
-            hull_rig_file,
         )
 
 
@@ -230,10 +225,3 @@ def silhouette_facts(camera: str, publishers: int, masks: Heard, infos: Heard) -
         changes=sum(one != other for one, other in itertools.pairwise(data)),
         age_s=1e-9 * median(each["received_timestamp"] - to_ns(message.header.stamp) for message, each in masks),
     )
-
-
-def _ask_rig_file(node: Node, name: str) -> str:
-    """Return the rig file parameter of a node; "" where it does not tell."""
-    requests = {name + GET_PARAMETERS: GetParameters.Request(names=["rig_file"])}
-    (reply,) = call_all(node, GetParameters, requests, ROUND_S, repeatable=True).values()
-    return reply.values[0].string_value if reply is not None and reply.values else ""

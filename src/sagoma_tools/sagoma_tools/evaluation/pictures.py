@@ -5,7 +5,7 @@ To be imported where it is used: matplotlib takes a second to load.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from capture_rig.camera import CameraModel
 from capture_rig.video import Video, VideoFile
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
@@ -60,61 +59,37 @@ def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     for name, frames in wanted.items():
         if len(frames):
             paths.append(folder / name)
-            cv2.imwrite(str(paths[-1]), np.vstack(list(_close_ups(evaluated, frames.tolist()))))
+            cv2.imwrite(str(paths[-1]), np.vstack(list(sheets(evaluated, frames.tolist(), close_up=True))))
     return paths
-
-
-def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarray]:
-    """Yield one sheet a frame: its caption, and every camera's image cut out around the body."""
-    for frame, cameras, images, points, truth in _pictures(evaluated, frames):
-        shown, columns = points if truth is None else np.vstack([points, truth]), min(len(cameras), CLOSE_UPS_A_ROW)
-        windows = [Window.around(camera, shown, CLOSE_UP_WIDTH_PX // columns) for camera in cameras]
-        yield _sheet(evaluated, frame, zip(cameras, images, windows, strict=True), points, truth, columns)
-
-
-def _sheet(
-    evaluated: TrackEvaluation,
-    frame: int,
-    views: Iterable[tuple[CameraModel, np.ndarray, Window]],
-    points_world: np.ndarray,
-    truth_world: np.ndarray | None,
-    columns: int,
-) -> np.ndarray:
-    """Return a frame's picture: track and truth over each camera's image, under the caption."""
-    cells = [overlay(camera, image, points_world, truth_world, window) for camera, image, window in views]
-    return captioned(montage(cells, columns, MAX_WIDTH_PX), *caption(evaluated, frame))
-
-
-def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
-    """Frame, cameras, their images, the track's points (15, 3) and the truth's, where it has them."""
-    session, cameras = evaluated.session, evaluated.session.rig.cameras
-    points = evaluated.track.at(np.array(frames)).points_world
-    truth: Sequence[np.ndarray | None] = [None] * len(frames)
-    if session.truth is not None:
-        there = zip(np.isin(frames, session.truth.frames), session.truth.points_at(frames), strict=True)
-        truth = [known if is_there else None for is_there, known in there]
-    footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
-    with suppress(EOFError):  # a container may promise a frame more than it holds
-        for index, images in enumerate(footage):
-            yield frames[index], cameras, images, points[index], truth[index]
 
 
 def write_overlay(path: Path, evaluated: TrackEvaluation, progress: Callable[[int], None] = lambda frame: None) -> Path:
     """Write an mp4 of every frame, cameras side by side: truth white, left limbs blue, right limbs red; caption."""
     with VideoFile(path, evaluated.session.fps) as video:
-        for frame, sheet in enumerate(sheets(evaluated)):
+        for frame, sheet in enumerate(sheets(evaluated, range(evaluated.frames))):
             progress(frame)
             video.write(sheet)
     return path
 
 
-def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
-    """Yield the video's pictures, BGR, all of one even size."""
-    rig = evaluated.session.rig.cameras
-    columns, scale = tiling([camera.width for camera in rig], [camera.height for camera in rig])
-    windows = [Window.whole(camera, scale) for camera in rig]
-    for frame, cameras, images, points, truth in _pictures(evaluated, range(evaluated.frames)):
-        yield _sheet(evaluated, frame, zip(cameras, images, windows, strict=True), points, truth, columns)
+def sheets(evaluated: TrackEvaluation, frames: Sequence[int], close_up: bool = False) -> Iterator[np.ndarray]:
+    """Yield each frame's picture, BGR: track and truth over all cameras' images, under the caption; whole images, all
+    pictures of one even size, or cut out around the body."""
+    session, cameras = evaluated.session, evaluated.session.rig.cameras
+    columns, scale = tiling([camera.width for camera in cameras], [camera.height for camera in cameras])
+    columns = min(len(cameras), CLOSE_UPS_A_ROW) if close_up else columns
+    points = evaluated.track.at(np.array(frames)).points_world
+    truth = None if session.truth is None else session.truth.points_at(frames)
+    footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
+    with suppress(EOFError):  # a container may promise a frame more than it holds
+        for index, images in enumerate(footage):
+            drawn = points[index], None if truth is None else truth[index]
+            shown = np.vstack([each for each in drawn if each is not None])
+            cells = []
+            for camera, image in zip(cameras, images, strict=True):
+                near = Window.around(camera, shown, CLOSE_UP_WIDTH_PX // columns) if close_up else None
+                cells.append(overlay(camera, image, *drawn, near or Window.whole(camera, scale)))
+            yield captioned(montage(cells, columns, MAX_WIDTH_PX), *caption(evaluated, frames[index]))
 
 
 def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:

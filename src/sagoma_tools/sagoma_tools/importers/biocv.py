@@ -63,7 +63,7 @@ def import_trial(
     """Write the session folder ``folder`` of the trial's videos, which appears whole or not at all, and say what that
     is, line by line.
 
-    calibration : folder of the calibration files; else they are looked for beside the videos and above them.
+    calibration : folder of the calibration files; else they are looked for in the participant's folder.
     markers : YAML, point: [marker, ...]. mocap_delay_s : time of the first mocap frame after the first image, s.
     World frame: the data set's, z up; metres. Raises InputError naming the file.
     """
@@ -154,16 +154,15 @@ def _videos(trial: Path) -> list[Path]:
 
 
 def _calibration(video: Path, folder: Path | None) -> Path:
-    """Return the file whose name up to the first dot is the video's, and that is no video."""
-    trial = video.parent
-    above = sorted(path for path in trial.resolve().parent.iterdir() if path.is_dir() and "calib" in path.name.lower())
-    folders = [folder] if folder is not None else [trial, trial.resolve().parent, *above]
-    for place in folders:
-        for path in sorted(place.iterdir()) if place.is_dir() else ():
-            if path.is_file() and path.name.split(".")[0] == video.stem and path.suffix.lower() not in VIDEO_SUFFIXES:
-                return path
-    looked = ", ".join(map(str, folders))
-    raise InputError(f"no calibration of {video.name} is there", where=looked, remedy="Give its folder: --calibration.")
+    """Return the file in the folder, or anywhere in the participant's, whose name up to the first dot is the video's,
+    and that is no video."""
+    place = folder or video.resolve().parents[1]
+    named = (path for path in sorted(place.rglob(f"{video.stem}.*")) if path.is_file())
+    found = next((path for path in named if path.suffix.lower() not in VIDEO_SUFFIXES), None)
+    if found is None:
+        what = f"no calibration of {video.name} is there"
+        raise InputError(what, where=str(place), remedy="Give its folder: --calibration.")
+    return found
 
 
 def _rate_and_length(videos: list[Path]) -> tuple[float, int]:

@@ -29,7 +29,7 @@ from .formats import (
     volume_around,
     write_truth_file,
 )
-from .humaneva_joints import Joints, joints, markers_mm, measures
+from .humaneva_joints import joints, markers_mm, measures
 
 CAMERAS = ("C1", "C2", "C3", "BW1", "BW2", "BW3", "BW4")
 """Colour before grey cameras: the order in which the data set's own code takes them."""
@@ -118,7 +118,7 @@ def import_trial(
         count, empty_rooms = copy_footage(sources, last - first + 1 if frames else None, partial, fps, progress)
         instants = time.mocap(np.arange(first, first + count))
         if mocap is not None and sizes is not None:
-            known = _write_truth(partial / "truth.csv", joints(mocap, instants, sizes), trial)
+            known = _write_truth(partial / "truth.csv", *joints(mocap, instants, *sizes), trial)
         save_rig(Rig(models, _volume(models, mocap, instants)), partial / "rig.yaml")
         of_cameras = {
             source.name: {"name": camera, "first_image": source.first_image, "background": empty_rooms[camera]}
@@ -140,16 +140,16 @@ def _header(source: Source) -> Video:
         return movie
 
 
-def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
+def _write_truth(path: Path, points_mm: dict[str, np.ndarray], valid: np.ndarray, trial: Trial) -> int:
     """Rows from the first known frame on, so that a track can start at the first row; unknown cells stay empty."""
-    if not found.valid.any():
+    if not valid.any():
         what = f"no imported frame of {trial} has complete motion capture"
         remedy = "Import other frames, or footage alone with --no-truth."
         raise InputError(what, where=str(trial.mocap), remedy=remedy)
-    start = int(found.valid.argmax())
-    points = {n: np.where(found.valid[:, None], p, np.nan)[start:] / 1000.0 for n, p in found.points_mm.items()}
-    write_truth_file(path, np.arange(start, len(found.valid)), points)
-    return int(found.valid.sum())
+    start = int(valid.argmax())
+    points = {name: np.where(valid[:, None], one, np.nan)[start:] / 1000.0 for name, one in points_mm.items()}
+    write_truth_file(path, np.arange(start, len(valid)), points)
+    return int(valid.sum())
 
 
 def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np.ndarray) -> Volume:
