@@ -36,6 +36,11 @@ def memory(available):
     return lambda: SimpleNamespace(available=available)
 
 
+def small_shared_memory(path):
+    """As a container has it."""
+    return SimpleNamespace(free=60 << 20, total=64 << 20) if path == "/dev/shm" else disk(50 * GIB)(path)
+
+
 def missing_middleware():
     raise RuntimeError("no lib")
 
@@ -75,7 +80,7 @@ def examined(monkeypatch, tmp_path):
         monkeypatch.setenv("NUMBA_CACHE_DIR", variables.get("NUMBA_CACHE_DIR", str(tmp_path)))
         for name, value in {**GOOD, **changes}.items():
             monkeypatch.setattr(f"sagoma_tools.doctor.{name}", value)
-        found = [finding for finding in examine_machine(tmp_path / "bags") if finding.severity > Severity.OK]
+        found = [finding for finding in examine_machine() if finding.severity > Severity.OK]
         assert all(finding.remedy for finding in found if finding.severity >= Severity.WARNING)
         return [(finding.severity.name, finding.code, finding.what + finding.remedy) for finding in found]
 
@@ -92,6 +97,7 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine.sys.version_info": (3, 13, 0)}, "WARNING", "python.untested", "3.13"),
         ({"machine.os.getloadavg": lambda: (7.5, 0, 0)}, "WARNING", "cores.busy", "0.5 of"),
         ({"machine.psutil.virtual_memory": memory(100 << 20)}, "WARNING", "memory.low", "100 MiB"),
+        ({"machine.psutil.disk_usage": small_shared_memory}, "WARNING", "shm.small", "60 of 64 MiB"),
         ({"machine.import_aravis": missing_aravis}, "ERROR", "aravis.missing", "Aravis is not available"),
         ({"machine._answer": answers(chronyc="0,,0,0.0,0.0")}, "WARNING", "clock.unsynchronised", "chrony"),
         ({"machine._answer": answers(chronyc="A,B,3,0.0,-0.005")}, "WARNING", "clock.off", "5 ms"),
@@ -144,12 +150,6 @@ def test_kernels_that_compile_at_every_start_are_found(monkeypatch, tmp_path, co
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(os, "access", lambda path, mode: writable)
     assert machine.check_kernels().code == code
-
-
-def test_small_shared_memory_of_a_container_is_found(monkeypatch):
-    monkeypatch.setattr(psutil, "disk_usage", disk(60 << 20, 64 << 20))
-    finding = machine.check_shared_memory()
-    assert finding.code == "shm.small" and "60 of 64 MiB" in finding.what
 
 
 def test_buffer_that_a_container_hides_is_unknown(monkeypatch):

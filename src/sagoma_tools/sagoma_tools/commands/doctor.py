@@ -58,8 +58,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C",
     )
-    help_bags = "where bags are written (default: %(default)s)"
-    option("--bags", metavar="FOLDER", type=Path, default=Path("output"), help=help_bags)
     option("--no-machine", action="store_true", help="leave this machine out")
     option("--all", action="store_true", help="also print what is well in words")
     option("--json", action="store_true", help="print one line of JSON instead of text")
@@ -100,7 +98,7 @@ def answer() -> int:
 def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
     if not args.no_machine:
-        yield from examine_machine(args.bags)
+        yield from examine_machine()
     for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
         yield from examine_camera(path, args.open)
     yield from examine_hosts(args.host)

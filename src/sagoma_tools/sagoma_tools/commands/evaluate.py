@@ -41,7 +41,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--keypoints", metavar="FOLDER", help=help_keypoints)
     help_ablation = "also one row a part of the tracker, from the thesis's method to ours"
     option("--ablation", action="store_true", help=help_ablation)
-    option("--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage")
     add_start_argument(parser)
     option("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
     option("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
@@ -97,20 +96,13 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
 
 
 def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, dict[int, Track]], int]:
-    """Return everybody's tracks in a bag that was recorded on the session, by the thesis's method, too, where that is
-    wanted, and frames."""
+    """Return everybody's tracks in a bag that was recorded on the session, and frames."""
     if args.ablation:
         remedy = f"Run sagoma evaluate {session.folder} --ablation."
         raise InputError("a bag holds one track and no variants of it", where="--ablation", remedy=remedy)
     clock = clock_of_bag(bag, session)
     of_bag = tracks_from_bag(bag, clock.frame_of)
-    tracks = {OURS: {person: track.between(0, clock.frames) for person, track in of_bag.items()}}
-    if args.thesis and not session.videos:
-        raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")
-    if args.thesis:
-        variants = {THESIS: thesis_configuration(_settings(args, session))}
-        tracks |= track_people(session, variants, exact_masks=args.exact_masks)
-    return tracks, clock.frames
+    return {OURS: {person: track.between(0, clock.frames) for person, track in of_bag.items()}}, clock.frames
 
 
 def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[int, Track]], int]:

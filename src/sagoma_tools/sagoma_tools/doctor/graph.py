@@ -69,7 +69,7 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
     sent = {camera.camera: camera for camera in facts.cameras}
     for name in sorted({*(facts.rig.names if facts.rig else ()), *sent, *(node.camera for node in facts.nodes)} - {""}):
         subject, client = f"camera {name}", facts.client(name)
-        yield from about(subject, check_client(name, facts), check_share_in_sets(name, facts))
+        yield from about(subject, check_presence(name, facts))
         if client is not None:
             yield from about(subject, *_of_node(client, facts))
         if (its := sent.get(name)) is not None:
@@ -210,23 +210,16 @@ def check_background(node: NodeFacts) -> Iterator[Finding]:
         yield warning("background.failed", f"the last training failed: {why}", remedy)
 
 
-def check_client(camera: str, facts: GraphFacts) -> Finding | None:
-    """Whether a camera of the rig has its client."""
-    if not facts.nodes or facts.rig is None or camera not in facts.rig.names or facts.client(camera) is not None:
-        return None
-    remedy = "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER --only "
-    remedy += f"{camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range."
-    return error("node.missing", "its client is not heard: it does not run, or its machine vanished", remedy)
-
-
-def check_share_in_sets(camera: str, facts: GraphFacts) -> Finding | None:
-    """How often the camera was missing from the frame sets."""
-    sets = facts.sets
-    missing = sum(camera in each.get("missing", "").split(",") for each in sets)
-    if missing <= MISSING * len(sets):
-        return None
-    remedy = "Frames come late, get lost, or have other stamps: see clock, sync and network."
-    return warning("frame_sets.missing_camera", f"it is missing from {missing} of {len(sets)}", remedy)
+def check_presence(camera: str, facts: GraphFacts) -> Iterator[Finding]:
+    """Whether a camera of the rig has its client, and how often the camera was missing from the frame sets."""
+    if facts.nodes and facts.rig is not None and camera in facts.rig.names and facts.client(camera) is None:
+        remedy = "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
+        remedy += f"--only {camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range."
+        yield error("node.missing", "its client is not heard: it does not run, or its machine vanished", remedy)
+    missing, sets = sum(camera in each.get("missing", "").split(",") for each in facts.sets), len(facts.sets)
+    if missing > MISSING * sets:
+        remedy = "Frames come late, get lost, or have other stamps: see clock, sync and network."
+        yield warning("frame_sets.missing_camera", f"it is missing from {missing} of {sets}", remedy)
 
 
 def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[Finding]:

@@ -25,7 +25,7 @@ import psutil
 from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
 
 from .findings import Finding, about, error, graded, ok, warning
-from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
+from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, interface_to
 
 PORT = 7398  # below all ROS domains' ports
 UNUSED_PORT = 10 + 2 * PARTICIPANTS + 9  # of a domain's: no process listens there
@@ -63,9 +63,8 @@ class RosSettings:
 
 
 def settings_here() -> dict[str, Any]:
-    """Return the settings of this machine's nodes, each once, and the ROS domains with nodes here."""
-    nodes = dict.fromkeys(map(RosSettings.of, _node_environments()))
-    return {"nodes": [asdict(node) for node in nodes], "domains": domains_here()}
+    """Return the settings of this machine's nodes, each once."""
+    return {"nodes": [asdict(node) for node in dict.fromkeys(map(RosSettings.of, _node_environments()))]}
 
 
 def _node_environments() -> Iterator[Mapping[str, str]]:
@@ -163,12 +162,10 @@ SIZES = (9000, 1500, 1400, 1280)
 class Peer:
     """ROS settings of a machine's nodes and of this shell, and both addresses.
 
-    domains : where processes listen there, seen by ports. multicast, port_open : whether its multicast
-    arrives here, and packets to a ROS port there (None: not tried).
+    multicast, port_open : whether its multicast arrives here, and packets to a ROS port there (None: not tried).
     """
 
     nodes: tuple[RosSettings, ...]
-    domains: tuple[int, ...]
     ours: RosSettings
     here: str
     there: str
@@ -208,7 +205,7 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
                 link.send(_question(FULL_BYTES, first + UNUSED_PORT))
                 told, here = json.loads(link.recv(65536)), str(link.getsockname()[0])
                 nodes = [RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"]]
-                peer = Peer(tuple(nodes), tuple(told["domains"]), ours, here, address)
+                peer = Peer(tuple(nodes), ours, here, address)
                 break
             except (OSError, ValueError, KeyError, TypeError):  # nobody answers, or no doctor
                 continue
@@ -241,7 +238,7 @@ def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[
 
 def check_domain(peer: Peer) -> Finding | None:
     """Whether nodes run there, and in our domain."""
-    domains = sorted({node.domain for node in peer.nodes} or set(peer.domains))
+    domains = sorted({node.domain for node in peer.nodes})
     if not domains:
         return warning("nodes.none_there", "no ROS node runs there", "Start it: sagoma up --cameras FILE there.")
     if peer.ours.domain in domains:

@@ -87,8 +87,7 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
         yield from about(SUBJECT, refused("file.invalid", problem))
         return
     view = RigView.of(rig, path, intrinsics)
-    checks = check_rig_report(view), check_number(view), check_common_view(view), check_regions(view), check_pairs(view)
-    yield from about(SUBJECT, *checks)
+    yield from about(SUBJECT, check_rig_report(view), check_coverage(view), check_regions(view), check_pairs(view))
     videos: dict[str, VideoFacts] = {}
     for camera in rig.cameras:
         subject = f"camera {camera.name}"
@@ -130,24 +129,19 @@ def check_report(path: Path, again: str) -> Iterator[Finding]:
     yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
 
 
-def check_number(view: RigView) -> Finding:
-    """Whether the cameras are enough to carve a body."""
+def check_coverage(view: RigView) -> Iterator[Finding]:
+    """Whether the cameras are enough to carve a body, and how much of the volume enough of them see."""
     number = len(view.rig.cameras)
     few = "Use four cameras or more; three at the least: two cannot carve a body."
     three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
-    at_least = MIN_CAMERAS
-    cases = (number < at_least, error, "too_few", few), (number == at_least, note, "three", three)
-    return graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
-
-
-def check_common_view(view: RigView) -> Finding:
-    """How much of the volume enough cameras see."""
-    enough = min(MIN_CAMERAS, len(view.rig.cameras))
+    cases = (number < MIN_CAMERAS, error, "too_few", few), (number == MIN_CAMERAS, note, "three", three)
+    yield graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
+    enough = min(MIN_CAMERAS, number)
     share = view.seen_by(enough)
     text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
     remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
     poor, little = (share < POOR_SHARE, error, "unseen", remedy), (share < LITTLE_SHARE, note, "little_seen", remedy)
-    return graded("volume", text, poor, little)
+    yield graded("volume", text, poor, little)
 
 
 def check_regions(view: RigView) -> Finding:
