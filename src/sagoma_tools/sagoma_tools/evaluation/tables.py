@@ -17,8 +17,6 @@ from ..graph.ros_link import label_of
 from .scores import AngleScores, PointScores, Scores
 from .track_evaluation import PeopleScores, TrackEvaluation
 
-PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
-"""Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""
 POINT_COLUMNS: Mapping[str, tuple[str, str]] = {
     "mean": ("mean_mm", "{:.1f}"),
     "median": ("median_mm", "{:.1f}"),
@@ -68,18 +66,11 @@ def _cells(scores: PointScores, point: int | tuple[()] = ()) -> list[str]:
 
 
 def _angles(angles: AngleScores) -> Table:
-    title = f"RMSE of the angles, rad (thesis Table 7.1); truth: {angles.source}"
-    table = plain_table(title, ["angle"], ["left", "right", "left deg", "right deg", "left frames", "right frames"])
-    torso = angles.torso_rmse_rad
-    table.add_row("torso", f"{torso:.2f}", "", f"{np.rad2deg(torso):.1f}", "", "100 %", "")
-    for slot, axis in enumerate("xy"):
-        rmse, share = angles.rmse_rad[slot], angles.share_defined[slot]
-        table.add_row(f"neck {axis}", f"{rmse:.2f}", "", f"{np.rad2deg(rmse):.1f}", "", f"{100 * share:.0f} %", "")
-    for slot in PAIRED_ANGLES:
-        name = ANGLE_NAMES[slot].removeprefix("left_").replace("_", " ")
-        rmse, share = angles.rmse_rad[slot : slot + 2], angles.share_defined[slot : slot + 2]
-        radians, degrees = (f"{r:.2f}" for r in rmse), (f"{np.rad2deg(r):.1f}" for r in rmse)
-        table.add_row(name, *radians, *degrees, *(f"{100 * s:.0f} %" for s in share))
+    title = f"RMSE of the angles (thesis Table 7.1); truth: {angles.source}"
+    table = plain_table(title, ["angle"], ["rad", "deg", "frames"])
+    rmse_rad, share = (angles.torso_rmse_rad, *angles.rmse_rad), (1.0, *angles.share_defined)
+    for name, rad, defined in zip(("torso", *ANGLE_NAMES), rmse_rad, share, strict=True):
+        table.add_row(name.replace("_", " "), f"{rad:.2f}", f"{np.rad2deg(rad):.1f}", f"{100 * defined:.0f} %")
     table.caption = "frames: where the truth determines the angle (see docs/evaluate.md)"
     table.caption_justify = "left"
     return table

@@ -56,7 +56,7 @@ def _windows(points: np.ndarray, half: int) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
 
 
-TRACKING = "tracking"
+TRACKING, LOST = str(Tracking.TRACKING), str(Tracking.LOST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,6 @@ def time_to_track_s(track: Track, fps: float) -> float:
 # several persons ------------------------------------------------------------------------------------------------------
 
 
-LOST, SURE = str(Tracking.LOST), str(Tracking.TRACKING)
 FIRST_S = 1.0
 GHOST_M = 0.5  # a track that is farther from every truth, mean of its points, follows nobody
 SWITCHED_FOR_S = 0.1  # so long another truth is nearer before it counts: in a hug two persons share a place
@@ -209,7 +208,7 @@ def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -
         int(frame)
         for person, rows in distances.items()
         for frame, state, row in zip(tracks[person].frames, tracks[person].states, rows, strict=True)
-        if state == SURE and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
+        if state == TRACKING and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
     }
     return Identities(
         tuple(numbers),
