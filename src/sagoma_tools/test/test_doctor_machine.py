@@ -3,10 +3,8 @@
 import io
 import os
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
-import psutil
 import pytest
 
 from capture_rig.errors import InputError
@@ -39,6 +37,10 @@ def memory(available):
 def small_shared_memory(path):
     """As a container has it."""
     return SimpleNamespace(free=60 << 20, total=64 << 20) if path == "/dev/shm" else disk(50 * GIB)(path)
+
+
+def hidden(path):
+    raise FileNotFoundError
 
 
 def missing_middleware():
@@ -98,6 +100,9 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine.os.getloadavg": lambda: (7.5, 0, 0)}, "WARNING", "cores.busy", "0.5 of"),
         ({"machine.psutil.virtual_memory": memory(100 << 20)}, "WARNING", "memory.low", "100 MiB"),
         ({"machine.psutil.disk_usage": small_shared_memory}, "WARNING", "shm.small", "60 of 64 MiB"),
+        ({"machine.psutil.disk_usage": disk(3 * GIB)}, "WARNING", "disk.low", "3.0 GiB"),
+        ({"machine.psutil.disk_usage": disk(150 << 20)}, "ERROR", "disk.full", "0.1 GiB"),
+        ({"machine.Path.read_text": hidden}, "NOTE", "rmem_max.unknown", "container"),
         ({"machine.import_aravis": missing_aravis}, "ERROR", "aravis.missing", "Aravis is not available"),
         ({"machine._answer": answers(chronyc="0,,0,0.0,0.0")}, "WARNING", "clock.unsynchronised", "chrony"),
         ({"machine._answer": answers(chronyc="A,B,3,0.0,-0.005")}, "WARNING", "clock.off", "5 ms"),
@@ -129,12 +134,6 @@ def test_environment_that_misleads_nodes_is_found(examined, variables, severity,
     assert found[:2] == (severity, code) and value in found[2]
 
 
-@pytest.mark.parametrize("free, code", [(100 << 20, "disk.full"), (GIB, "disk.low"), (50 * GIB, "disk.ok")])
-def test_disk_for_bags_has_room(monkeypatch, tmp_path, free, code):
-    monkeypatch.setattr(psutil, "disk_usage", disk(free))
-    assert check_disk(tmp_path / "not" / "yet" / "there").code == code
-
-
 def test_folder_that_is_a_file_cannot_take_bags(tmp_path):
     (tmp_path / "bags").write_text("")
     finding = check_disk(tmp_path / "bags")
@@ -150,14 +149,6 @@ def test_kernels_that_compile_at_every_start_are_found(monkeypatch, tmp_path, co
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(os, "access", lambda path, mode: writable)
     assert machine.check_kernels().code == code
-
-
-def test_buffer_that_a_container_hides_is_unknown(monkeypatch):
-    def hidden(path):
-        raise FileNotFoundError
-
-    monkeypatch.setattr(Path, "read_text", hidden)
-    assert machine.check_buffer(1).code == "rmem_max.unknown"
 
 
 def test_domains_are_told_from_well_known_ports():

@@ -53,6 +53,7 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"called: {_percent(calls.false_alarms)}"
     )
     console.print(_angles(scores.angles))
+    console.print(f"truth: {scores.angles.source}; frames: where it determines the angle (see docs/evaluate.md)")
 
 
 def _percent(share: float) -> str:
@@ -66,13 +67,10 @@ def _cells(scores: PointScores, point: int | tuple[()] = ()) -> list[str]:
 
 
 def _angles(angles: AngleScores) -> Table:
-    title = f"RMSE of the angles (thesis Table 7.1); truth: {angles.source}"
-    table = plain_table(title, ["angle"], ["rad", "deg", "frames"])
+    table = plain_table("RMSE (thesis Table 7.1)", ["angle"], ["rad", "deg", "frames"])
     rmse_rad, share = (angles.torso_rmse_rad, *angles.rmse_rad), (1.0, *angles.share_defined)
     for name, rad, defined in zip(("torso", *ANGLE_NAMES), rmse_rad, share, strict=True):
         table.add_row(name.replace("_", " "), f"{rad:.2f}", f"{np.rad2deg(rad):.1f}", f"{100 * defined:.0f} %")
-    table.caption = "frames: where the truth determines the angle (see docs/evaluate.md)"
-    table.caption_justify = "left"
     return table
 
 
