@@ -120,7 +120,7 @@ def test_controlled_camera_is_reported_and_not_disturbed(file, camera, capsys):
         assert found["control"][0]["code"] == "control.local"
         assert not source.lost
         status, found = examined(file(), capsys, "--open")
-        assert status == 2 and found["opened"][0]["code"] == "opened.failed"
+        assert status == 2 and found["opened"][0]["code"] == "opened.unusable"
 
 
 def test_opened_camera_says_what_it_is_and_those_of_a_folder_share_the_link(file, camera, tmp_path, capsys):

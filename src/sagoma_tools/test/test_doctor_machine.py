@@ -48,7 +48,7 @@ def missing_middleware():
 
 
 def missing_aravis():
-    raise InputError("Aravis is not available")
+    raise InputError("Aravis is not available", remedy="Install it.")
 
 
 def answers(**programs):
@@ -103,7 +103,7 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine.psutil.disk_usage": disk(3 * GIB)}, "WARNING", "disk.low", "3.0 GiB"),
         ({"machine.psutil.disk_usage": disk(150 << 20)}, "ERROR", "disk.full", "0.1 GiB"),
         ({"machine.Path.read_text": hidden}, "NOTE", "rmem_max.unknown", "container"),
-        ({"machine.import_aravis": missing_aravis}, "ERROR", "aravis.missing", "Aravis is not available"),
+        ({"machine.import_aravis": missing_aravis}, "ERROR", "aravis.unusable", "Aravis is not available"),
         ({"machine._answer": answers(chronyc="0,,0,0.0,0.0")}, "WARNING", "clock.unsynchronised", "chrony"),
         ({"machine._answer": answers(chronyc="A,B,3,0.0,-0.005")}, "WARNING", "clock.off", "5 ms"),
         ({"machine._answer": answers(timedatectl="no")}, "WARNING", "clock.unsynchronised", "systemd"),

@@ -15,7 +15,7 @@ from footage_clips import write_clip
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.rig import Rig, Volume, load_rig, save_rig
 from sagoma_tools.cli import main
-from sagoma_tools.doctor.rig import RigView, check_place, check_report
+from sagoma_tools.doctor.rig import RigView, check_place
 from virtual_studio.rig import ring
 
 GOOD = ring(5, False)
@@ -168,8 +168,7 @@ def test_reports_are_read_with_verdict_findings_and_age(examined, tmp_path):
     assert "no tilt (tilt the board)" in text["calibration.redo"]
     assert f"fx {C1.K[0, 0] + 5:.1f}" in (said := text["intrinsics.differ"]) and f"rig fx {C1.K[0, 0]:.1f}" in said
     (tmp_path / "rig.report.yaml").write_text("[1, 2")
-    (finding,) = check_report(tmp_path / "rig.report.yaml", "calibrate")
-    assert finding.code == "report.unreadable"
+    assert "rig_report.unusable" in [code for _, code, _ in examined(GOOD)[1]["rig"]]
 
 
 def test_footage_of_another_size_is_an_error(examined, tmp_path):
@@ -186,7 +185,7 @@ def test_footage_of_another_size_is_an_error(examined, tmp_path):
     assert status == 2
     assert any(code == "footage.size_differs" and "320 x 240" in what for _, code, what in found["camera cam02"])
     of_session = {code: what for _, code, what in found[f"session {session}"]}
-    assert "cam04.mp4" in of_session["footage.doubtful"] and "no video for cam05" in of_session["footage.invalid"]
+    assert "cam04.mp4" in of_session["footage.doubtful"] and "no video for cam05" in of_session["session.unusable"]
     assert "camera cam01" not in found
 
 

@@ -152,10 +152,10 @@ def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(tour, tmp_p
     with_late_frames(copied / "cam02.mp4", FRAMES - 4, 4)
     assert main(["evaluate", str(copied), "--json"]) == 2
     assert "different frame rates" in (said := capsys.readouterr().err) and "sagoma doctor --session" in said
-    assert ("error", "footage.invalid") in [found[:2] for found in doctor(capsys, copied)]
+    assert ("error", "session.unusable") in [found[:2] for found in doctor(capsys, copied)]
     (copied / "session.yaml").write_text(f"fps: {FPS}\n")
     figures, said = evaluated(capsys, copied)
     assert figures["frames"] == FRAMES
     assert "cam02.mp4: has a variable frame rate: its frames are 50 to 100 ms apart" in said
     found = {code: what for _, code, what in doctor(capsys, copied)}
-    assert "50 to 100 ms" in found["footage.doubtful"] and "footage.invalid" not in found
+    assert "50 to 100 ms" in found["footage.doubtful"] and "session.unusable" not in found

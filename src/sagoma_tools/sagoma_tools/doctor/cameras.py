@@ -117,26 +117,25 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
     yield graded("rig", text, (not calibration.placed, note, "lens_only", f"Its place is not known: {remedy}"))
 
 
-def check_background(file: CameraFile) -> Finding | None:
+def check_background(file: CameraFile) -> Iterator[Finding]:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings, camera = file.settings, file.camera
     path = settings.background or (settings.background_file if Path(settings.background_file).is_file() else "")
     if camera is None:  # another check says so
-        return None
+        return
     if not path:
-        return note("background.none_named", "none is named: no silhouettes until one is learned", learn)
-    try:
-        shape, model = _read_background(path, settings)
-        age_s = time.time() - Path(path).stat().st_mtime
-    except (InputError, OSError) as problem:
-        return error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
+        yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
+        return
+    shape, model = _read_background(path, settings)
+    age_s = time.time() - Path(path).stat().st_mtime
     size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
     given = of_shape(camera, shape) if len(shape) == 3 else camera  # of a mosaic's tiles
     if shape[:2] != (given.height, given.width):
-        return error("background.size_differs", size, learn)
+        yield error("background.size_differs", size, learn)
+        return
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
-    return graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
+    yield graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
 
 
 def check_timing(settings: AravisSettings) -> Iterator[Finding]:
@@ -217,15 +216,11 @@ def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | Non
 
 def check_opened(file: CameraFile) -> Iterator[Finding]:
     """What the camera says once its client's settings are made: features, PTP, temperature."""
-    source = AravisSource(file.settings.aravis, file.settings.channels)
-    try:
-        with source:
-            for text in source.warnings:
-                yield warning("opened.warning", text, "See docs/camera_pcs.md.")
-            details = ", ".join(f"{key} {value}" for key, value in source.details.items())
-            yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
-    except InputError as problem:
-        yield refused("opened.failed", problem)
+    with AravisSource(file.settings.aravis, file.settings.channels) as source:
+        for text in source.warnings:
+            yield warning("opened.warning", text, "See docs/camera_pcs.md.")
+        details = ", ".join(f"{key} {value}" for key, value in source.details.items())
+        yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
 
 
 def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[int, ...], BackgroundModel]:

@@ -7,7 +7,7 @@ A finding's code, "ABOUT.CONDITION" ("mtu.too_large", "clock.off"), is stable: s
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from functools import partial
@@ -72,14 +72,19 @@ def refused(code: str, problem: InputError, severity: Callable[[str, str, str], 
     return severity(code, f"{problem.where}: {problem.what}" if problem.where else problem.what, problem.remedy)
 
 
-Found = Finding | Iterable[Finding] | None
+Found = Finding | Iterator[Finding] | None
 
 
 def about(subject: str, *checks: Found) -> Iterator[Finding]:
-    """Yield what checks of a subject found, each under its name."""
+    """Yield what checks of a subject found, each under its name; what a check cannot read or open is an error, by the
+    check's name: "footage.unusable" of ``check_footage``."""
     for found in checks:
-        for finding in [found] if isinstance(found, Finding) else found or ():
-            yield replace(finding, subject=subject)
+        try:
+            for finding in [found] if isinstance(found, Finding) else found or ():
+                yield replace(finding, subject=subject)
+        except InputError as problem:
+            code = f"{getattr(found, '__name__', 'check').removeprefix('check_')}.unusable"
+            yield replace(refused(code, problem), subject=subject)
 
 
 def exit_status(findings: Sequence[Finding]) -> int:

@@ -112,11 +112,7 @@ def check_rig_report(view: RigView) -> Iterator[Finding]:
 
 def check_report(path: Path, again: str) -> Iterator[Finding]:
     """The verdict, the findings and the age of the report that a calibration left."""
-    try:
-        report = read_mapping(path, f"{again}.")
-    except InputError as problem:
-        yield refused("report.unreadable", problem, warning)
-        return
+    report = read_mapping(path, f"{again}.")
     grade, listed = report.get("verdict"), report.get("findings")
     reasons = [f"{why['what']} ({why['remedy']})" for why in listed] if isinstance(listed, list) else []
     text = f"{path}: {'; '.join([str(grade), *reasons])}"
@@ -198,11 +194,7 @@ def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         return
     yield from check_report(report, CALIBRATE_LENS)
     path = report.with_name(f"{camera.name}.yaml")
-    try:
-        own = load_camera_info(path, camera).K if path.is_file() else camera.K
-    except InputError as problem:
-        yield refused("intrinsics.unreadable", problem, warning)
-        return
+    own = load_camera_info(path, camera).K if path.is_file() else camera.K
     if np.abs(own - camera.K).max() > SAME_LENS_PX:
         mine, its = (", ".join(f"{k} {K[at]:.1f}" for k, at in ENTRIES.items()) for K in (own, camera.K))
         remedy = f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
@@ -256,16 +248,14 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
 
 def check_footage(camera: CameraModel, session: Path, videos: dict[str, VideoFacts]) -> Iterator[Finding]:
     """Whether a camera's footage and background can be read and have the calibrated size; ``videos`` gets the video."""
-    try:
-        paths = {"footage": find_footage(session, camera.name, VIDEO_SUFFIXES)}
-        paths["background"] = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
-        sizes = {kind: footage_shape(path)[1::-1] for kind, path in paths.items() if path is not None}
-        if paths["footage"] is not None:
-            videos[camera.name] = examine_video(paths["footage"])
-    except InputError as problem:
-        yield refused("footage.unreadable", problem)
-        return
-    for kind, (width, height) in sizes.items():
+    paths = {"footage": find_footage(session, camera.name, VIDEO_SUFFIXES)}
+    paths["background"] = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+    if paths["footage"] is not None:
+        videos[camera.name] = examine_video(paths["footage"])
+    for kind, path in paths.items():
+        if path is None:  # loading the session says so
+            continue
+        height, width, *_ = footage_shape(path)
         text = f"{width} x {height} pixels, the camera was calibrated at {camera.width} x {camera.height}"
         remedy = "Record at the calibrated size, or calibrate at the recorded one."
         yield graded(kind, text, ((width, height) != (camera.width, camera.height), error, "size_differs", remedy))
@@ -275,11 +265,7 @@ def check_session(videos: Mapping[str, VideoFacts], session: Path) -> Iterator[F
     """Whether the session can be loaded, its videos can be read to one end, and every camera has a background."""
     for found in ended_findings(videos) if videos else ():
         yield warning("footage.doubtful", found.what, found.remedy)
-    try:
-        backgrounds = load_session(session).backgrounds
-    except InputError as problem:
-        yield refused("footage.invalid", problem)
-        return
+    backgrounds = load_session(session).backgrounds
     if bare := [camera for camera in videos if camera not in backgrounds]:
         yield error("background.missing", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4.")
 
