@@ -225,23 +225,20 @@ def copy_footage(
     image. Raises InputError when a movie ends too early.
     """
     rooms: dict[str, Path] = {}
-    movies = {camera: read_images(one.movie, one.grey, one.first_image) for camera, one in sources.items()}
+    movies = [read_images(one.movie, one.grey, one.first_image) for one in sources.values()]
     done = 0
     with ExitStack() as stack:
-        files = {c: stack.enter_context(VideoFile(folder / (one.name + LOSSLESS), fps)) for c, one in sources.items()}
-        while count is None or done < count:
-            images = {camera: image for camera, movie in movies.items() if (image := next(movie, None)) is not None}
-            ended = [source for camera, source in sources.items() if camera not in images]
-            if ended and count is None and done:
-                break
-            if ended:
-                what = f"ends after {ended[0].first_image - 1 + done} images, {(count or 1) - done} too early"
-                raise InputError(what, where=str(ended[0].movie), remedy="Import fewer frames.")
-            rooms = rooms or {camera: nearest_room(sources[camera], image) for camera, image in images.items()}
-            for camera, image in images.items():
-                files[camera].write(image)
+        files = [stack.enter_context(VideoFile(folder / (one.name + LOSSLESS), fps)) for one in sources.values()]
+        for images in islice(zip(*movies, strict=False), count):
+            named = zip(sources.items(), images, strict=True)
+            rooms = rooms or {camera: nearest_room(source, image) for (camera, source), image in named}
+            for file, image in zip(files, images, strict=True):
+                file.write(image)
             done += 1
             progress(done)
+    if done < (count or 1):
+        what = f"a movie ends after {done} common frames, {(count or 1) - done} too early"
+        raise InputError(what, where=str(next(iter(sources.values())).movie.parent), remedy="Import fewer frames.")
     for camera, room in rooms.items():
         with VideoFile(folder / f"{sources[camera].name}_background{LOSSLESS}", fps) as footage:
             for image in islice(read_images(room, sources[camera].grey, FIRST_USABLE_FRAME), MAX_ROOM_IMAGES):
