@@ -200,29 +200,23 @@ def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
     if not files or not all(file.is_file() for file in files):
         remedy = "Give a folder with one YAML a camera, or one such file."
         raise InputError("no camera parameter file", where=str(path), remedy=remedy)
-    nodes = [camera_from_file(file) for file in files]
-    labels = [node.label for node in nodes]
-    twice = sorted({label for label in labels if labels.count(label) > 1})
-    if twice:
-        remedy = "Keep one parameter file a camera."
-        raise InputError(f"{', '.join(twice)} is described twice", where=str(cameras), remedy=remedy)
-    return sorted(nodes, key=lambda node: node.label)
+    return sorted(map(camera_from_file, files), key=lambda node: node.label)
 
 
 def camera_from_file(path: str | Path) -> NodeSpec:
     """Return a camera node from a ROS parameter file whose one key is ``/CAMERA/camera_client``."""
     path = Path(path)
     document = read_mapping(path, f"Give a ROS parameter file with the key /CAMERA/{CAMERA_NODE}.")
-    keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
-    if len(document) != 1 or len(keys) != 1:
-        what = f"has the keys {', '.join(map(str, document)) or 'of no node'}"
-        raise InputError(what, where=str(path), remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.")
-    entry = document[keys[0]]
+    camera, _, name = str(next(iter(document), "")).removeprefix("/").partition("/")
+    entry = next(iter(document.values()), None)
     parameters = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
-    if not isinstance(parameters, Mapping):
-        remedy = "Put the parameters under it."
-        raise InputError("has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}", remedy=remedy)
-    return camera_node(str(keys[0]).split("/")[1], flatten(parameters))
+    if len(document) != 1 or name != CAMERA_NODE or not isinstance(parameters, Mapping):
+        what = f"has {', '.join(map(str, document)) or 'no key'}"
+        remedy = (
+            f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}, and the parameters in its ros__parameters."
+        )
+        raise InputError(what, where=str(path), remedy=remedy)
+    return camera_node(camera, flatten(parameters))
 
 
 def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:

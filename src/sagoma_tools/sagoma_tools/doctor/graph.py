@@ -85,7 +85,16 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
     """Which nodes are heard, and which of the server are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
-        yield _no_node_heard(facts)
+        others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
+        hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
+        remedy = (
+            f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID and {RANGE_VARIABLE} (here "
+        )
+        remedy += (
+            f"{RosSettings.of(os.environ).reach}), open UDP between them (sagoma doctor --host ADDRESS; --peers where "
+        )
+        remedy += "the network passes no multicast), and restart nodes that started before their network was up."
+        yield error("nodes.none", f"no node is heard in {where}", remedy)
         return
     listed = ", ".join(node.camera or node.name.strip("/") for node in facts.nodes)
     yield ok("nodes", f"{len(facts.nodes)} in {where}: {listed}")
@@ -97,18 +106,6 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
     if unknown := [camera.camera for camera in facts.cameras if facts.rig and camera.camera not in facts.rig.names]:
         text = f"{', '.join(unknown)} publish silhouettes, but are not in the rig file"
         yield warning("cameras.not_in_rig", text, "Calibrate them into the rig, or stop them.")
-
-
-def _no_node_heard(facts: GraphFacts) -> Finding:
-    others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
-    hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
-    ours = RosSettings.of(os.environ)
-    remedy = f"Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID and {RANGE_VARIABLE} (here "
-    remedy += (
-        f"{ours.reach}), open UDP between them (sagoma doctor --host ADDRESS; --peers where the network passes no "
-    )
-    remedy += "multicast), and restart nodes that started before their network was up."
-    return error("nodes.none", f"no node is heard in ROS_DOMAIN_ID {facts.domain}", hint + remedy)
 
 
 def check_alike(facts: GraphFacts) -> Iterator[Finding]:
