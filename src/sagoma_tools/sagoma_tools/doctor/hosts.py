@@ -129,28 +129,28 @@ def hears_multicast(address: str, here: str, port_of_discovery: int, port: int =
     return False
 
 
-def reaches(address: str, size: int, port: int = PORT) -> bool:
-    """Return whether an unfragmented packet of ``size`` bytes, headers included, arrives at a port."""
+def answer_of(address: str, port: int, question: bytes) -> bytes | None:
+    """Return what comes back of a question, which may not be fragmented on its way: an answer, nothing where the port
+    is closed, None where it does not arrive."""
     with _socket() as link:
         link.settimeout(PATIENCE_S)
         link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
         link.connect((address, port))
         for _ in range(TRIES):
             try:
-                link.send(_question(size))
-                link.recv(1)
-            except TimeoutError:
-                continue
+                link.send(question)
+                return link.recv(65536)
             except ConnectionRefusedError:
-                return True
-            except OSError as problem:
+                return b""
+            except OSError as problem:  # also of time
                 if problem.errno in (errno.EMSGSIZE, errno.EHOSTUNREACH, errno.ENETUNREACH):
-                    return False
-                with contextlib.suppress(OSError):
-                    link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-            else:
-                return True
-    return False
+                    break
+    return None
+
+
+def reaches(address: str, size: int, port: int = PORT) -> bool:
+    """Return whether an unfragmented packet of ``size`` bytes, headers included, arrives at a port."""
+    return answer_of(address, port, _question(size)) is not None
 
 
 # checks of another machine --------------------------------------------------------------------------------------------
@@ -197,23 +197,16 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
     """Return a machine's ROS settings beside ours, and whether its nodes are heard; None when nothing answers."""
     ours = RosSettings.of(os.environ)
     first = FIRST_PORT + DOMAIN_PORTS * ours.domain
-    with _socket() as link:
-        link.settimeout(PATIENCE_S)
-        link.connect((address, port))
-        for _ in range(TRIES):
-            try:
-                link.send(_question(FULL_BYTES, first + UNUSED_PORT))
-                told, here = json.loads(link.recv(65536)), str(link.getsockname()[0])
-                nodes = [RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"]]
-                peer = Peer(tuple(nodes), ours, here, address)
-                break
-            except (OSError, ValueError, KeyError, TypeError):  # nobody answers, or no doctor
-                continue
-        else:
-            return None
+    here = interface_to(address)
+    try:
+        told = json.loads(answer_of(address, port, _question(FULL_BYTES, first + UNUSED_PORT)) or b"")
+        nodes = tuple(RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"])
+    except (ValueError, KeyError, TypeError):  # nobody answers, or no doctor
+        return None
+    peer = Peer(nodes, ours, "" if here is None else here.address, address)
     if peer.node is None:
         return peer
-    arrives = None if ours.reach in ALONE else hears_multicast(address, here, first, port)
+    arrives = None if ours.reach in ALONE else hears_multicast(address, peer.here, first, port)
     return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
 
 
