@@ -11,16 +11,7 @@ from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import exact_silhouettes
 from sagoma_bringup.launch_arguments import start_settings
-from sagoma_tools.evaluation.in_process import (
-    OURS,
-    PARTS,
-    ROWS,
-    THESIS,
-    ablation_rows,
-    thesis_configuration,
-    track_people,
-    track_session,
-)
+from sagoma_tools.evaluation.in_process import OURS, PARTS, ROWS, THESIS, ablation_rows, track_people, track_session
 
 
 def started(session: Session, **changes) -> Configuration:
@@ -41,7 +32,6 @@ def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
     rows = ablation_rows(settings)
     assert tuple(rows) == ROWS
     assert differing(rows[OURS], Configuration.of(settings)) == set()
-    assert differing(rows[THESIS], thesis_configuration(settings)) == set()
     first = rows[THESIS]
     assert (first.icp.method, first.ekf.motion_model, first.feedback) == ("hierarchical", "identity", False)
     assert first.icp.refinement.keyframes == 20

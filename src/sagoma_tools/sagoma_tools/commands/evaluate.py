@@ -7,19 +7,17 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from capture_rig.video import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
-from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.session_footage import load_detections
 from sagoma_bringup.launch_arguments import start_settings
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
 from ..console import command_console, doing
-from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
+from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, track_people
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
 from ..evaluation.track import Track, clock_of_bag, is_bag, session_of_bag, tracks_from_bag
@@ -110,18 +108,14 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
     if args.ablation and session.truth is None:
         remedy = "Leave out --ablation, or give a session with a truth."
         raise InputError("has no truth.csv or reference*.csv to compare with", where=args.session, remedy=remedy)
-    settings = _settings(args, session)
-    variants = ablation_rows(settings)
-    if not args.ablation:
-        variants = {OURS: Configuration.of(settings)}
-        variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
-    ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
+    rows = ablation_rows({**start_settings(session, args.start), **parse_settings(args.settings)})
+    names = ROWS if args.ablation else (THESIS, OURS) if session.truth is not None else (OURS,)
     detections = load_detections(args.keypoints, session.rig) if args.keypoints else {}
     came: dict[str, VideoFacts] = {}
     try:
         tracks = track_people(
             session,
-            ours_first,
+            {name: rows[name] for name in reversed(names)},  # ours first
             exact_masks=args.exact_masks,
             progress=doing("tracking frames"),
             ended=came.update,
@@ -139,7 +133,3 @@ def people_scores(session: Session, tracks: Mapping[int, Track]) -> PeopleScores
     if len(session.truths) < 2:
         return None
     return score_people(tracks, session.truths, session.fps, RigVisibility(session.rig))
-
-
-def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:
-    return {**start_settings(session, args.start), **parse_settings(args.settings)}

@@ -99,11 +99,6 @@ class SilhouetteFacts:
     changes: int = 0
     age_s: float = 0.0
 
-    @property
-    def sees_person(self) -> bool:
-        """Whether most of its masks have a plausible share of foreground."""
-        return PERSON_SHARE <= self.share < FLOODED
-
 
 @dataclass(frozen=True)
 class GraphFacts:
@@ -137,8 +132,8 @@ class GraphFacts:
 
     @property
     def seeing(self) -> list[str]:
-        """The cameras that see a person."""
-        return [facts.camera for facts in self.cameras if facts.sees_person]
+        """The cameras most of whose masks have a person's share of foreground."""
+        return [facts.camera for facts in self.cameras if PERSON_SHARE <= facts.share < FLOODED]
 
     @property
     def room_empty(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -98,19 +98,13 @@ OURS = ROWS[-1]
 
 
 def ablation_rows(settings: Mapping[str, Any]) -> dict[str, Configuration]:
-    """Name to configuration: the thesis's method first; each row adds one part; the last one is the settings' own."""
-    return {name: _without(list(PARTS)[count:], settings) for count, name in enumerate(ROWS)}
-
-
-def thesis_configuration(settings: Mapping[str, Any]) -> Configuration:
-    """The thesis's method: hierarchical ICP started from its own last pose (4.3), then the filter without a motion
-    model (5.2)."""
-    return _without(PARTS, settings)
-
-
-def _without(parts: Iterable[str], settings: Mapping[str, Any]) -> Configuration:
-    changed = dict(settings)
-    for part in parts:
-        changed |= PARTS[part]
-    feedback = changed.pop(FEEDBACK, True)
-    return Configuration.of(changed, feedback=feedback)
+    """Name to configuration: the thesis's method first, which is hierarchical ICP started from its own last pose (4.3),
+    then the filter without a motion model (5.2); each row adds one part; the last one is the settings' own."""
+    rows = {}
+    for count, name in enumerate(ROWS):
+        changed = dict(settings)
+        for without in list(PARTS.values())[count:]:
+            changed |= without
+        feedback = changed.pop(FEEDBACK, True)
+        rows[name] = Configuration.of(changed, feedback=feedback)
+    return rows
