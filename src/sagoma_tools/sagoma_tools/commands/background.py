@@ -17,7 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from camera_client.background.model import BackgroundModel, load_background, shape_text
@@ -33,7 +32,7 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import Video
 
 from ..arguments import NODES
-from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, plain_table, until_stopped
+from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, until_stopped
 from ..graph import START_TIMEOUT_S
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             return 0
         warn_of_idle(console, diagnostics, names)
         outcomes = train(console, link, diagnostics, names, stop, args)
-    console.print(training_table(outcomes))
+    print_outcomes(console, outcomes)
     if args.json:
         print(json.dumps(figures(outcomes)))
     return INTERRUPTED if stop.is_set() else exit_status(outcomes)
@@ -199,29 +198,19 @@ def figures(outcomes: Sequence[TrainingOutcome]) -> dict[str, Any]:
     return {one.camera: {"said": one.message, **reports[one.camera], "grade": one.grade} for one in outcomes}
 
 
-def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
-    """Return one line a camera, and one more for each further finding."""
-    table = plain_table("", ("camera", "verdict"), ("frames", "noise", "moved %"), ("why", "what to do"))
+def print_outcomes(console: Console, outcomes: Sequence[TrainingOutcome]) -> None:
+    """Print each camera's verdict, figures, and findings with remedies."""
     for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
-        report, figures = outcome.report, ("", "", "")
-        if report is not None and report.frames:
-            figures = (str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}")
-        first, *others = _reasons(outcome)
-        table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *figures, *first)
-        for other in others:
-            table.add_row("", "", "", "", "", *other)
-    return table
-
-
-def _reasons(outcome: TrainingOutcome) -> list[tuple[str, str]]:
-    """Findings and their remedies, at least one pair."""
-    report = outcome.report
-    if report is None or (report.grade == REDO and not report.findings):
-        return [(outcome.message, "see that its frames come (sagoma up, sagoma doctor), and run it again")]
-    found = [(finding.what, finding.remedy) for finding in report.findings]
-    if report.grade != REDO and not report.saved:
-        found.append(("in use, but not saved", "set background_file in the camera's parameter file"))
-    return found or [("", "")]
+        report, redo = outcome.report, outcome.grade == REDO
+        console.print(Text(f"{outcome.camera}: {outcome.grade}", GRADE_STYLE[outcome.grade]))
+        if report is None or (redo and not report.findings):
+            console.print(f"  {outcome.message}: see that its frames come (sagoma up, sagoma doctor), and run it again")
+            continue
+        console.print(f"  {report.frames} frames, noise {report.noise:.2f}, moved {100 * report.moved:.2f} %")
+        for finding in report.findings:
+            console.print(f"  {finding.line}")
+        if not (redo or report.saved):
+            console.print("  in use, but not saved: set background_file in the camera's parameter file")
 
 
 def run_show(args: argparse.Namespace) -> int:
@@ -229,24 +218,14 @@ def run_show(args: argparse.Namespace) -> int:
     console, before = command_console(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)
-        console.print(provenance_table(model, str(file)))
+        shown = {**asdict(model.provenance), "image": shape_text(model.shape), "moved": f"{model.moving_share:.2%}"}
+        console.print(f"{file}: {', '.join(f'{key} {value}' for key, value in shown.items() if value != '')}")
         for finding in judge_background(model, (), before).findings + turn_findings(model.provenance):
             console.print(Text(f"{finding.grade}: {finding.line}", GRADE_STYLE[finding.grade]))
         folder = Path(args.output) if args.output else file.parent
         mean, sigma = write_pictures(model, folder, file.stem)
         console.print(f"pictures: {mean}, {sigma} (brightest: {BRIGHTEST_SIGMA:g} grey levels of noise or more)")
     return 0
-
-
-def provenance_table(model: BackgroundModel, title: str) -> Table:
-    """Return the provenance of a saved background, its image size, and the share of pixels that moved."""
-    table = Table("", "", title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
-    for key, value in asdict(model.provenance).items():
-        if value != "":
-            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
-    table.add_row("image", shape_text(model.shape))
-    table.add_row("moved", f"{100 * model.moving_share:.2f} % of the pixels")
-    return table
 
 
 def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path]:
