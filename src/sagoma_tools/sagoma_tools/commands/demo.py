@@ -147,7 +147,7 @@ def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     """Print everything that the run measured."""
-    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics, in_real_time=bool(live.ages_ms))
+    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics)
     if live.ages_ms:
         print_ages(console, live.ages_ms, live.hz_held)
     console.print(

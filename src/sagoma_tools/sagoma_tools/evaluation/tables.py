@@ -146,18 +146,13 @@ def print_nodes(
     usage: Mapping[str, Usage],
     cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
-    in_real_time: bool,
 ) -> None:
-    """Print one row a process and a node: memory and its peak, processor time a frame set; results, and the latency
-    where stamps are of this machine's time."""
-    memory_columns = "resident MiB", "peak MiB"
-    latencies = {"latency p50 ms": "latency_p50_ms", "p95 ms": "latency_p95_ms"} if in_real_time else {}
-    table = plain_table("nodes", ["node"], [*memory_columns, "cpu ms a set", "results", *latencies])
-    values = {label_of(name): report for name, report in diagnostics.items()}
-    for label in dict.fromkeys([*usage, *values]):
+    """Print one row a process and a node: memory and its peak, processor time a frame set; results."""
+    table = plain_table("nodes", ["node"], ["resident MiB", "peak MiB", "cpu ms a set", "results"])
+    results = {label_of(name): report.get("results", "") for name, report in diagnostics.items()}
+    for label in dict.fromkeys([*usage, *results]):
         used = usage.get(label)  # None of a node that shares its process
-        memory = (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}") if used is not None else ("", "")
+        memory = ("", "") if used is None else (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}")
         cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
-        report = values.get(label, {})
-        table.add_row(label, *memory, cpu, *(report.get(key, "") for key in ("results", *latencies.values())))
+        table.add_row(label, *memory, cpu, results.get(label, ""))
     console.print(table)
