@@ -103,14 +103,14 @@ def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
         return text, sure
     (errors,) = scores.errors_mm[truth.frames == frame]
     worst = int(np.nanargmax(errors))
-    name = POINT_NAMES[worst].replace("_", " ")
-    return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm", sure
+    return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {TITLES[worst]} {errors[worst]:.0f} mm", sure
 
 
 # plots ----------------------------------------------------------------------------------------------------------------
 
 
 OURS, TRUTH, THESIS, UNSURE, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
+TITLES = [name.replace("_", " ") for name in POINT_NAMES]
 POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 """The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
 
@@ -171,7 +171,7 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
         if unsure.any():
             there, whole = axis.get_xaxis_transform(), (track.frames / evaluated.session.fps, 0, 1, unsure)
             axis.fill_between(*whole, step="mid", color=UNSURE, alpha=0.3, transform=there, label="not tracking")
-        axis.set_title(f"{_name(point)}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
+        axis.set_title(f"{TITLES[point]}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
     top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
@@ -186,9 +186,8 @@ def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     methods += [("thesis's method", evaluated.thesis, THESIS)] if evaluated.thesis is not None else []
     for label, found, colour in methods:
         errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
-        share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
         label = f"{label}: median {found.all_points.median_mm:.0f} mm"
-        curve.plot(errors, share, color=colour, linewidth=2, label=label)
+        curve.plot(errors, np.linspace(0.0, 100.0, len(errors)), color=colour, linewidth=2, label=label)
     curve.axvline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
     widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
     curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
@@ -199,7 +198,7 @@ def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     if evaluated.thesis is not None:
         mean_mm, label = evaluated.thesis.points.mean_mm[order], "thesis's method: mean"
         bars.plot(mean_mm, places, "D", color=THESIS, markersize=5, label=label)
-    bars.set_yticks(places, [_name(point) for point in order])
+    bars.set_yticks(places, [TITLES[point] for point in order])
     bars.set_xlabel("error [mm]")
     for axis in (curve, bars):
         axis.grid(alpha=0.3)
@@ -223,7 +222,3 @@ def _finish(figure: Figure, evaluated: TrackEvaluation, what: str, unit: str) ->
 def _title(evaluated: TrackEvaluation, what: str) -> str:
     mean = "" if evaluated.scores is None else f" (mean error {evaluated.scores.mean_mm:.1f} mm)"
     return f"{evaluated.session.folder.name}: {what}{mean}"
-
-
-def _name(point: int) -> str:
-    return POINT_NAMES[point].replace("_", " ")
