@@ -137,10 +137,10 @@ def test_opened_camera_says_what_it_is_and_those_of_a_folder_share_the_link(file
 @pytest.mark.parametrize(
     "changes, severity, code, value",
     [
-        ({"aravis.adress": "1.2.3.4"}, "error", "file.invalid", "'aravis.address'"),
-        ({"aravis.exposure_us": "long"}, "error", "file.invalid", "aravis.exposure_us = 'long'"),
-        ({"camera_name": "cam09"}, "error", "rig.invalid", "'cam09'"),
-        ({"rig_file": "/nowhere/rig.yaml"}, "error", "rig.invalid", "/nowhere/rig.yaml"),
+        ({"aravis.adress": "1.2.3.4"}, "error", "camera.unusable", "'aravis.address'"),
+        ({"aravis.exposure_us": "long"}, "error", "camera.unusable", "aravis.exposure_us = 'long'"),
+        ({"camera_name": "cam09"}, "error", "calibration.unusable", "'cam09'"),
+        ({"rig_file": "/nowhere/rig.yaml"}, "error", "calibration.unusable", "/nowhere/rig.yaml"),
         ({"rig_file": ""}, "note", "rig.uncalibrated", ""),  # not yet
         ({"background": "/nowhere/bg.npz"}, "error", "background.unusable", "/nowhere/bg.npz"),
         ({"background": ""}, "note", "background.none_named", ""),

@@ -187,4 +187,4 @@ def test_absurd_rig_is_refused_with_a_remedy(tmp_path, capsys):
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(document))
     assert main(["doctor", "--no-machine", "--json", "--rig", str(tmp_path / "rig.yaml")]) == 2
     (invalid,) = json.loads(capsys.readouterr().out)["findings"]
-    assert invalid["code"] == "file.invalid" and "image_width" in invalid["what"] and invalid["remedy"]
+    assert invalid["code"] == "rig.unusable" and "image_width" in invalid["what"] and invalid["remedy"]

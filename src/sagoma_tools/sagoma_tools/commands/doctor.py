@@ -14,7 +14,7 @@ from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console, doing, until_stopped
 from ..doctor.cameras import examine_camera
-from ..doctor.findings import Finding, exit_status, show, summary
+from ..doctor.findings import Finding, about, exit_status, show, summary
 from ..doctor.graph import examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
@@ -100,9 +100,9 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     if not args.no_machine:
         yield from examine_machine()
     for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
-        yield from examine_camera(path, args.open)
+        yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
     if args.session is not None or args.rig is not None:
-        yield from examine_rig(args.rig, args.session, args.intrinsics)
+        yield from about("rig", examine_rig(args.rig, args.session, args.intrinsics))
     if args.live:
-        yield from examine_graph(args.seconds, args.rig, namespace=namespace_argument(args))
+        yield from about("graph", examine_graph(args.seconds, args.rig, namespace=namespace_argument(args)))

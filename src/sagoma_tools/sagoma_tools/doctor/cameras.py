@@ -38,7 +38,7 @@ from gige_vision.gvsp import PixelFormat
 from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.middleware import resolve_packages
 
-from .findings import Finding, about, error, graded, note, ok, refused, warning
+from .findings import Finding, about, error, graded, note, ok, warning
 from .machine import Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
@@ -69,11 +69,7 @@ def examine_camera(path: Path, open_it: bool = False) -> Iterator[Finding]:
 
     open_it : take control of the camera, set it up as the client would, and report what it says.
     """
-    try:
-        file = read_file(path)
-    except InputError as problem:
-        yield from about(f"camera file {path}", refused("file.invalid", problem))
-        return
+    file = read_file(path)
     subject, settings = f"camera {file.name}", file.settings.aravis
     yield from about(subject, check_calibration(file), check_background(file))
     if file.settings.source == "aravis":
@@ -106,8 +102,7 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
     yield ok("file", f"{file.path} describes camera {file.name}")
     calibration, camera = file.calibration, file.camera
     if isinstance(calibration, InputError):
-        yield refused("rig.invalid", calibration)
-        return
+        raise calibration
     if camera is None:
         remedy = f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD"
         yield note("rig.uncalibrated", "not calibrated yet: it sends images, no silhouettes", remedy)

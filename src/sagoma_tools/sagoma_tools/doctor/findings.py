@@ -67,24 +67,20 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
     return ok(about, what)
 
 
-def refused(code: str, problem: InputError, severity: Callable[[str, str, str], Finding] = error) -> Finding:
-    """Return what a reader says of a file that it cannot use."""
-    return severity(code, f"{problem.where}: {problem.what}" if problem.where else problem.what, problem.remedy)
-
-
 Found = Finding | Iterator[Finding] | None
 
 
 def about(subject: str, *checks: Found) -> Iterator[Finding]:
-    """Yield what checks of a subject found, each under its name; what a check cannot read or open is an error, by the
-    check's name: "footage.unusable" of ``check_footage``."""
+    """Yield what checks of a subject found, each under its name unless it has one; what a check cannot read or open is
+    an error, by the check's name: "footage.unusable" of ``check_footage``."""
     for found in checks:
         try:
             for finding in [found] if isinstance(found, Finding) else found or ():
-                yield replace(finding, subject=subject)
+                yield finding if finding.subject else replace(finding, subject=subject)
         except InputError as problem:
-            code = f"{getattr(found, '__name__', 'check').removeprefix('check_')}.unusable"
-            yield replace(refused(code, problem), subject=subject)
+            code = f"{getattr(found, '__name__', '').partition('_')[2]}.unusable"
+            what = f"{problem.where}: {problem.what}" if problem.where else problem.what
+            yield replace(error(code, what, problem.remedy), subject=subject)
 
 
 def exit_status(findings: Sequence[Finding]) -> int:

@@ -13,12 +13,11 @@ from camera_client.background.causes import KEY as FINDINGS_KEY
 from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
 from camera_client.background.training import TrainingReport
-from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from sagoma_ros.middleware import RANGE_VARIABLE
 
-from .findings import Finding, Found, about, error, graded, note, ok, refused, warning
+from .findings import Finding, Found, about, error, graded, note, ok, warning
 from .graph_listener import ACTIVE, FLOODED, HULL, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 from .hosts import RosSettings
 from .machine import domains_here
@@ -50,12 +49,7 @@ BIG_MESSAGES = (
 
 def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
     """Examine the graph of this ROS domain and a namespace, against the rig file if given."""
-    rig = None
-    if rig_file is not None:
-        try:
-            rig = load_rig(rig_file)
-        except InputError as problem:  # the graph is examined all the same
-            yield from about(SUBJECT, refused("rig.invalid", problem, note))
+    rig = None if rig_file is None else load_rig(rig_file)
     facts = collect_graph(seconds, rig.names if rig else (), namespace=namespace)
     yield from graph_findings(replace(facts, rig=rig))
 

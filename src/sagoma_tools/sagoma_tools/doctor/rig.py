@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
-from capture_rig.errors import InputError
 from capture_rig.lens import is_fisheye
 from capture_rig.rig import Rig, load_rig
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, load_session
@@ -25,7 +24,7 @@ from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
 from .cameras import BUSY, GIGABIT, JUMBO_MTU, footage_shape, wire_bytes
-from .findings import Finding, about, error, graded, note, refused, warning
+from .findings import Finding, about, error, graded, note, warning
 
 Array = npt.NDArray[np.float64]
 
@@ -81,11 +80,7 @@ class RigView:
 def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
     """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
     path = path or Path(session or ".") / "rig.yaml"
-    try:
-        rig = load_rig(path)
-    except InputError as problem:
-        yield from about(SUBJECT, refused("file.invalid", problem))
-        return
+    rig = load_rig(path)
     view = RigView.of(rig, path, intrinsics)
     yield from about(SUBJECT, check_rig_report(view), check_coverage(view), check_regions(view), check_pairs(view))
     videos: dict[str, VideoFacts] = {}
