@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from sagoma_tools.cli import main
 from sagoma_tools.commands import demo
-from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
+from sagoma_tools.commands.demo import next_step, rate_line, unsound
 from sagoma_tools.evaluation import live_run
 from sagoma_tools.graph.diagnostics_table import NodeReport, latency_line
 
@@ -54,12 +54,6 @@ def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkey
     monkeypatch.setattr(live_run, "run_live", run)
     live_run.run_studio("session", tmp_path, 60.0, asked)
     assert tried == speeds
-
-
-def test_line_of_slow_motion_says_how_slow_and_why():
-    machine = "this machine does not hold 5 cameras at 60 Hz"
-    assert speed_line(0.25, 5, 60.0, forced=False) == f"shown at 1/4 of the speed: {machine}"
-    assert speed_line(1 / 16, 5, 60.0, forced=True) == "shown at 1/16 of the speed: as asked for"
 
 
 @pytest.mark.parametrize("rate", ["0", "1"])

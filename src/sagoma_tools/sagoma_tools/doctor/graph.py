@@ -81,13 +81,10 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
     if not facts.nodes:
         others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
         hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
-        remedy = (
-            f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID and {RANGE_VARIABLE} (here "
-        )
-        remedy += (
-            f"{RosSettings.of(os.environ).reach}), open UDP between them (sagoma doctor --host ADDRESS; --peers where "
-        )
-        remedy += "the network passes no multicast), and restart nodes that started before their network was up."
+        reach = f"{RANGE_VARIABLE} (here {RosSettings.of(os.environ).reach})"
+        remedy = f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID and {reach}, open UDP "
+        remedy += "between them (sagoma doctor --host ADDRESS; --peers where the network passes no multicast), and "
+        remedy += "restart nodes that started before their network was up."
         yield error("nodes.none", f"no node is heard in {where}", remedy)
         return
     listed = ", ".join(node.camera or node.name.strip("/") for node in facts.nodes)

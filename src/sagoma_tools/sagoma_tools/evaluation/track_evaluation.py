@@ -37,21 +37,20 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> tuple[float,
     The rms is over all points and frames that count, three axes together: white noise of sd s an axis gives
     s sqrt(3) sqrt(1 - 1 / (2 h + 1)), NaN where no point ever rests.
     """
-    first, last = (int(track.frames.min()), int(track.frames.max())) if len(track) else (0, -1)
-    frames = np.arange(first, last + 1)
+    if not len(track):
+        return float("nan"), np.zeros(15, int)
+    frames = np.arange(track.frames.min(), track.frames.max() + 1)
     points = track.at(frames).points_world
     half = max(1, round(0.5 * WINDOW_S * fps))
     smooth = _windows(points, half).mean(-1)
     reference = smooth if truth is None else truth.points_at(frames)
     away = np.linalg.norm(_windows(reference, half) - reference[..., None], axis=2)
-    counts = (away.max(-1, initial=0.0) < STILL_M) & np.isfinite(smooth).all(-1)
+    counts = (away.max(-1) < STILL_M) & np.isfinite(smooth).all(-1)
     return 1e3 * float(np.sqrt(mean_of_known(((points - smooth) ** 2).sum(-1)[counts]))), counts.sum(0)
 
 
 def _windows(points: np.ndarray, half: int) -> np.ndarray:
     """(F, 15, 3, 2 half + 1) the frames around each frame; NaN beyond the ends."""
-    if len(points) == 0:
-        return np.empty((0, *points.shape[1:], 2 * half + 1))
     padded = np.pad(points, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
 

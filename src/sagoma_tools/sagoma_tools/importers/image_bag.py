@@ -6,7 +6,6 @@ time. Cameras need not be triggered together: stamps.csv says when each image wa
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -138,7 +137,7 @@ def _copy_images(
     bag: Path, topics: Mapping[str, str], folder: Path, tail: str, fps: float, sets_ns: np.ndarray, progress: Progress
 ) -> None:
     """Write the images of frames (F, C), the cameras in the order of ``topics``, into a video each."""
-    uses = {topic: Counter(column.tolist()) for topic, column in zip(topics.values(), sets_ns.T, strict=True)}
+    wanted = {topic: set(column.tolist()) for topic, column in zip(topics.values(), sets_ns.T, strict=True)}
     done = 0
     with ExitStack() as stack:
         files = {
@@ -146,13 +145,12 @@ def _copy_images(
             for name, topic in topics.items()
         }
         for message in read_messages(bag, files.__contains__):
-            times = uses[message.topic].pop(_stamp_ns(message), 0)
-            if times:
+            if (stamp_ns := _stamp_ns(message)) in wanted[message.topic]:
+                wanted[message.topic].discard(stamp_ns)
                 raw = IMAGE_TYPES.index(message.msgtype) == 0
                 image = decode_image(message.decode(Image if raw else CompressedImage), message.topic, GREY_BITS)
-                for _ in range(times):
-                    files[message.topic].write(image)
-                done += times
+                files[message.topic].write(image)
+                done += 1
                 progress(done // len(topics))
 
 
