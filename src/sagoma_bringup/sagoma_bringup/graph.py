@@ -130,21 +130,19 @@ def session_graph(
         what = f"there is no background for {', '.join(without_background)}"
         remedy = f"Add {without_background[0]}_background.mp4 or .png: the empty scene."
         raise InputError(what, where=str(session.folder), remedy=remedy)
-    # by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
-    footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": 0 if rate else time.time_ns(), "loop": loop}
-    footage["wait_for_cameras"] = rate > 0
+    common = {
+        "rig_file": str(rig_file),
+        "source": "footage",
+        "footage.fps": session.fps,
+        "footage.rate": float(rate),
+        "footage.epoch_ns": 0 if rate else time.time_ns(),  # by no clock, the cameras' stamps begin alike
+        "footage.loop": loop,
+        "footage.wait_for_cameras": rate > 0,
+    }
+    files = {name: (session.backgrounds[name].resolve(), session.videos[name].resolve()) for name in session.rig.names}
     cameras = [
-        camera_node(
-            name,
-            {
-                "rig_file": str(rig_file),
-                "source": "footage",
-                "background": str(session.backgrounds[name].resolve()),
-                "footage.path": str(session.videos[name].resolve()),
-                **{f"footage.{key}": value for key, value in footage.items()},
-            },
-        )
-        for name in session.rig.names
+        camera_node(name, {**common, "background": str(background), "footage.path": str(video)})
+        for name, (background, video) in files.items()
     ]
     graph = server_graph(rig_file, body=body) + cameras
     waits: dict[str, Any] = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
@@ -182,13 +180,9 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
     """Return one camera node for each camera of the rig, from the parameter files in ``cameras``."""
     names = load_rig(rig).names
     nodes = {node.label: node for node in cameras_from_files(cameras)}
-    unknown, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
-    if unknown:
-        remedy = f"Known cameras: {', '.join(names)}."
-        raise InputError(f"the rig {rig} has no camera {', '.join(unknown)}", where=str(cameras), remedy=remedy)
-    if absent:
-        what = f"the rig {rig} has {len(names)} cameras, but there is no parameter file for {', '.join(absent)}"
-        raise InputError(what, where=str(cameras), remedy=f"Add {absent[0]}.yaml, or take the camera out of the rig.")
+    if set(nodes) != set(names):
+        what = f"has parameter files of {', '.join(nodes)}; the cameras of {rig} are {', '.join(names)}"
+        raise InputError(what, where=str(cameras), remedy="Give one file for each camera of the rig, and no other.")
     rig_file = str(Path(rig).resolve())
     return [camera_node(name, {**nodes[name].parameters, "rig_file": rig_file, "autostart": False}) for name in names]
 

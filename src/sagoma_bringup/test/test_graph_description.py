@@ -84,17 +84,11 @@ def test_cameras_without_a_rig_are_driven_by_whoever_starts_them(tmp_path):
     assert all(node.parameters["autostart"] is False and "rig_file" not in node.parameters for node in graph)
 
 
-@pytest.mark.parametrize(
-    ("count", "message"),
-    [
-        (2, "has 4 cameras, but there is no parameter file for cam03, cam04"),
-        (5, "has no camera cam05.*Known cameras: cam01, cam02, cam03, cam04"),
-    ],
-)
-def test_cameras_that_are_not_those_of_the_rig_are_an_error(tmp_path, count, message):
+@pytest.mark.parametrize("count", [2, 5])
+def test_cameras_that_are_not_those_of_the_rig_are_an_error(tmp_path, count):
     for number in range(1, count + 1):
         camera_file(tmp_path, f"cam{number:02d}")
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=r"cam01, cam02.*; the cameras of .* are cam01, cam02, cam03, cam04"):
         build_graph(rig=RING4, cameras=tmp_path)
 
 

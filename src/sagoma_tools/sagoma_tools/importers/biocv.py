@@ -128,9 +128,7 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
     unknown = [name for name, labels in chosen.items() if labels is None]
     if unknown:
         what = f"has no markers for {', '.join(unknown)} by the names that are known; it has {', '.join(mocap.column)}"
-        remedy = (
-            f"Write a YAML file with lines such as '{unknown[0]}: [{next(iter(mocap.column))}]', give it to --markers."
-        )
+        remedy = f"Give --markers a YAML file with lines such as '{unknown[0]}: [{next(iter(mocap.column))}]'."
         raise InputError(what, where=str(mocap.path), remedy=remedy)
     return {name: labels for name, labels in chosen.items() if labels is not None}
 
