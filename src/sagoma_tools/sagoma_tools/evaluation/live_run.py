@@ -93,7 +93,6 @@ def run_live(
     *,
     start: str = "auto",
     settings: Mapping[str, Any] | None = None,
-    domain_id: int | None = None,
     cancel: threading.Event | None = None,
 ) -> LiveRun:
     """Play a session through the whole graph, every node a process, and record a bag into ``output``/bag.
@@ -105,11 +104,11 @@ def run_live(
     bag, start_from = output / "bag", start_settings(live_input.session, start)
     with live_input:
         graph = live_input.graph({**start_from, **(settings or {})})
-        with Supervisor(graph, output / "logs", domain_id=domain_id, cancel=cancel) as supervisor:
+        with Supervisor(graph, output / "logs", cancel=cancel) as supervisor:
             doing(f"starting {len(graph)} nodes")
             supervisor.configure(tolerate_cameras=False)
             provenance = {"session": str(live_input.session.folder)}
-            with GraphRecorder(graph, bag, domain_id=domain_id, provenance=provenance) as recorder:
+            with GraphRecorder(graph, bag, provenance=provenance) as recorder:
                 recorder.wait_for_graph()
                 supervisor.activate(tolerate_cameras=False)
                 doing("waiting until cameras and graph are in step")
