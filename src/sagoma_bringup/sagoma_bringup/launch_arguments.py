@@ -58,7 +58,6 @@ OF_A_SERVER = (
     Argument("params", "ROS parameter file for all nodes, read last: its values win (keys: /**/hull_server ...)", ""),
     Argument("server", "hull, ICP and EKF nodes in one process, or in one each", ONE_PROCESS, SERVER_LAYOUTS),
 )
-ON_A_DESK = (switch("rviz", "show it in rviz2"),)
 OF_FOOTAGE = (
     Argument("session", "folder with rig.yaml, camNN.mp4, camNN_background.png or .mp4"),
     Argument("rate", "playing speed; 0: as fast as the graph can, which drops nothing then", "0"),
@@ -74,13 +73,8 @@ FROM_A_SESSION = Argument(
 CAMERAS = Argument("cameras", "folder with one parameter file a camera of the rig")
 ARGUMENTS: Mapping[str, tuple[Argument, ...]] = {
     "server": (RIG, *OF_A_SERVER, *OF_ANY_NODE),
-    "all_in_one": (RIG, CAMERAS, *OF_A_SERVER, *OF_ANY_NODE, *ON_A_DESK),
-    "demo": (
-        *OF_FOOTAGE,
-        *(FROM_A_SESSION if one.name == "start" else one for one in OF_A_SERVER),
-        *OF_ANY_NODE,
-        *ON_A_DESK,
-    ),
+    "all_in_one": (RIG, CAMERAS, *OF_A_SERVER, *OF_ANY_NODE),
+    "demo": (*OF_FOOTAGE, *(FROM_A_SESSION if one.name == "start" else one for one in OF_A_SERVER), *OF_ANY_NODE),
     "camera": (
         Argument("camera", "name of the camera in the rig, e.g. cam01"),
         Argument("params", "parameter file of this camera (default: config/camera/CAMERA.yaml of sagoma_bringup)", ""),
@@ -100,14 +94,9 @@ def described_graph(file: str, values: Mapping[str, str]) -> list[NodeSpec]:
     common: dict[str, Any] = {"autostart": is_true(values, "autostart")}
     if is_true(values, "use_sim_time"):
         common["use_sim_time"] = True
-    prefix = {"tf_prefix": tf_prefix(values)} if tf_prefix(values) else {}
-    return [node.with_parameters({**prefix, **node.parameters, **common}) for node in graph]
-
-
-def tf_prefix(values: Mapping[str, str]) -> str:
-    """Return what the frames' names of a graph in a namespace begin with; "" without one."""
     namespace = values["namespace"].strip("/")
-    return f"{namespace.replace('/', '_')}_" if namespace else ""
+    prefix = {"tf_prefix": f"{namespace.replace('/', '_')}_"} if namespace else {}
+    return [node.with_parameters({**prefix, **node.parameters, **common}) for node in graph]
 
 
 def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:

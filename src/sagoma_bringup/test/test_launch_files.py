@@ -1,14 +1,12 @@
 """The launch files, run against a stand-in for launch and launch_ros: the graph that each starts, what it refuses."""
 
 import os
-import re
 import sys
 import threading
 from pathlib import Path
 
 import pytest
 import yaml
-from ament_index_python.packages import PackageNotFoundError
 from launch_stand_in import launched, module_of
 
 from capture_rig.errors import InputError
@@ -117,26 +115,6 @@ def test_a_node_that_dies_is_started_again_or_ends_the_launch(path):
 
 
 # --- what is refused, before anything starts
-
-
-def test_rviz_that_is_not_installed_is_refused_before_anything_starts(monkeypatch):
-    def absent(package):
-        raise PackageNotFoundError(package)
-
-    monkeypatch.setattr("ament_index_python.packages.get_package_prefix", absent)
-    with pytest.raises(InputError, match=r"rviz2 is not installed.*sagoma view"):
-        launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true")
-
-
-def test_rviz_shows_the_topics_of_the_namespace(monkeypatch):
-    installed = {"rviz2": "/opt/ros/jazzy", "sagoma_bringup": str(PACKAGE)}
-    monkeypatch.setattr("ament_index_python.packages.get_package_prefix", installed.__getitem__)
-    monkeypatch.setattr("ament_index_python.packages.get_package_share_directory", installed.__getitem__)
-    *_, rviz = launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true", namespace="studio")
-    assert (rviz.package, rviz.full_namespace) == ("rviz2", "/studio")
-    assert ("/mocap/skeletons", "mocap/skeletons") in rviz.remappings
-    assert rviz.arguments[-2:] == ["-f", "studio_map"]
-    assert all(re.fullmatch(r"/[\w/]+", topic) for topic, _ in rviz.remappings)
 
 
 @pytest.mark.parametrize(

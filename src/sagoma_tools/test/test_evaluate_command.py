@@ -61,7 +61,7 @@ def test_the_ablation_ends_with_our_figures_and_begins_with_the_thesis(tour, cap
     assert figures["ablation"][OURS]["mean_mm"] == figures["mean_mm"]
     assert figures["ablation"][THESIS]["mean_mm"] == figures["thesis_mean_mm"]
     assert "ablation: each row adds one part" in said
-    assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "errors.png", "overlay.png", "worst.png"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "overlay.png", "worst.png"}
 
 
 def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour, capsys, tmp_path, monkeypatch):

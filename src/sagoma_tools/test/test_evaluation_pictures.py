@@ -28,7 +28,7 @@ def evaluated(toured) -> TrackEvaluation:
 @pytest.mark.slow
 def test_every_plot_is_written_and_without_a_truth_the_angles_alone(evaluated, tmp_path):
     paths = draw_plots(tmp_path, evaluated)
-    assert [path.stem for path in paths] == ["angles", "point_errors", "errors"]
+    assert [path.stem for path in paths] == ["angles", "point_errors"]
     for path in paths:
         assert cv2.imread(str(path)).std() > 5.0  # there is something on it
     session = replace(evaluated.session, truth=None)

@@ -121,7 +121,6 @@ def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     figures = {"angles": _angles(evaluated)}
     if evaluated.scores is not None:
         figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
-        figures["errors"] = _distribution(evaluated, evaluated.scores)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=100)
     return [folder / f"{name}.png" for name in figures]
@@ -175,35 +174,6 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
-    return figure
-
-
-def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
-    """Left: the share of errors below any bound; right: each point's mean, median and 95th percentile."""
-    figure = Figure(figsize=(13, 5.5), layout="constrained")
-    curve, bars = figure.subplots(1, 2)
-    methods = [("ours", scores, OURS)]
-    methods += [("thesis's method", evaluated.thesis, THESIS)] if evaluated.thesis is not None else []
-    for label, found, colour in methods:
-        errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
-        label = f"{label}: median {found.all_points.median_mm:.0f} mm"
-        curve.plot(errors, np.linspace(0.0, 100.0, len(errors)), color=colour, linewidth=2, label=label)
-    curve.axvline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
-    widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
-    curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
-    places = np.arange(len(POINT_ORDER))[::-1]
-    order = list(POINT_ORDER)
-    bars.barh(places, scores.points.mean_mm[order], color=OURS, label="ours: mean")
-    bars.plot(scores.points.p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
-    if evaluated.thesis is not None:
-        mean_mm, label = evaluated.thesis.points.mean_mm[order], "thesis's method: mean"
-        bars.plot(mean_mm, places, "D", color=THESIS, markersize=5, label=label)
-    bars.set_yticks(places, [TITLES[point] for point in order])
-    bars.set_xlabel("error [mm]")
-    for axis in (curve, bars):
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=9, loc="lower right")
-    figure.suptitle(_title(evaluated, "errors"))
     return figure
 
 
