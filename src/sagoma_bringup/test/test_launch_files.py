@@ -120,7 +120,6 @@ def test_a_node_that_dies_is_started_again_or_ends_the_launch(path):
 @pytest.mark.parametrize(
     ("file", "given", "message"),
     [
-        ("server.launch.py", {"rig": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
         ("server.launch.py", {"rig": RIG, "params": "nowhere.yaml"}, "cannot be read"),
         ("demo.launch.py", {"rate": "soon"}, "argument rate: is soon.*[Gg]ive a number from 0"),
         ("server.launch.xml", {"rig": "package://no_such_package/rig.yaml"}, "no package 'no_such_package'"),

@@ -11,14 +11,7 @@ from capture_rig.errors import InputError
 from sagoma_tools.console import CommandConsole
 from sagoma_tools.doctor import machine
 from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, show, summary, warning
-from sagoma_tools.doctor.machine import (
-    Interface,
-    check_disk,
-    domains_of_ports,
-    examine_machine,
-    interface_to,
-    interfaces,
-)
+from sagoma_tools.doctor.machine import Interface, domains_of_ports, examine_machine, interface_to, interfaces
 
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
 VARIABLES = ("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
@@ -132,12 +125,6 @@ def test_machine_that_is_not_ready_is_found_with_a_remedy(examined, changes, sev
 def test_environment_that_misleads_nodes_is_found(examined, variables, severity, code, value):
     (found,) = examined({}, **variables)
     assert found[:2] == (severity, code) and value in found[2]
-
-
-def test_folder_that_is_a_file_cannot_take_bags(tmp_path):
-    (tmp_path / "bags").write_text("")
-    finding = check_disk(tmp_path / "bags")
-    assert finding.code == "disk.unusable" and "is not a folder" in finding.what
 
 
 @pytest.mark.parametrize(
