@@ -4,7 +4,6 @@ from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from capture_rig.session import Session
 from mocap_pipeline.configuration import Configuration
@@ -53,13 +52,6 @@ def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one
     assert len(carved) == len(set(carved)) == 12
     assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
     assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
-
-
-def test_variants_that_need_other_hulls_are_refused(toured):
-    other = started(toured)
-    other = replace(other, hull=replace(other.hull, voxel_size_m=0.03))
-    with pytest.raises(ValueError, match="differ in the settings of cameras or hull"):
-        track_people(toured, {"a": started(toured), "b": other}, exact_masks=True)
 
 
 def test_without_feedback_every_fit_starts_from_the_fit_before(toured):

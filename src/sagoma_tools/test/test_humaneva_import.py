@@ -120,35 +120,27 @@ def test_footage_alone_needs_no_motion_capture(copy, tmp_path):
     assert session.fps == 60.0
 
 
+MOVIE, ROOM = "S2/Image_Data/Walking_1_(C{}).avi", "Background/Background_1_(C2).avi"
+
+
 def missing(path):
     return lambda root: root.joinpath(path).unlink()
 
 
-def no_movie(root):
-    root.joinpath("S2/Image_Data/Walking_1_(C2).avi").write_text("none")
-
-
-def short_movie(root):
-    write_avi(root / "S2/Image_Data/Walking_1_(C3).avi", [np.zeros((240, 320), np.uint8)] * 5)
-
-
-def other_size(root):
-    write_avi(root / "Background/Background_1_(C2).avi", [np.zeros((120, 160), np.uint8)] * 9)
+def black(path, count, *shape):
+    return lambda root: write_avi(root / path, [np.zeros(shape, np.uint8)] * count)
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (
-            missing("S2/Image_Data/Walking_1_(C2).avi"),
-            r"\(C2\)\.avi: is not there.*has Walking_1_\(BW1\), Walking_1_\(C1\)",
-        ),
-        (no_movie, r"\(C2\)\.avi: cannot be opened as a video"),
+        (missing(MOVIE.format(2)), r"\(C2\)\.avi: is not there.*has Walking_1_\(BW1\), Walking_1_\(C1\)"),
+        (lambda root: root.joinpath(MOVIE.format(2)).write_text("none"), r"\(C2\)\.avi: cannot be opened as a video"),
         (missing("S2/Calibration_Data/BW1.cal"), r"BW1\.cal: is not there"),
         (missing("S2/Sync_Data/Walking_1_(C1).ofs"), r"\(C1\)\.ofs: is not there"),
         (missing("S2/Mocap_Data/Static.c3d"), r"Static\.c3d: cannot be read"),
-        (short_movie, r"\(C3\)\.avi: ends after 5 images, before image 8"),
-        (other_size, r"Background_1_\(C2\)\.avi: its images have shape \(120, 160, 3\)"),
+        (black(MOVIE.format(3), 5, 240, 320), r"\(C3\)\.avi: ends after 5 images, before image 8"),
+        (black(ROOM, 9, 120, 160), r"Background_1_\(C2\)\.avi: its images have shape \(120, 160, 3\)"),
         (lambda root: shutil.rmtree(root / "Background"), r"Background: has no Background_\*_\(C1\)\.avi"),
     ],
 )

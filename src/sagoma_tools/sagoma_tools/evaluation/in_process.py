@@ -49,8 +49,6 @@ def track_people(
     once of cameras that are not where the rig says.
     """
     first, *others = variants.values()
-    if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
-        raise ValueError("variants of one run differ in the settings of cameras or hull")
     pipeline = MocapPipeline(session.rig, first) if exact_masks else pipeline_of(session, first)
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, pipeline, ended)
     followers = [pipeline.body, *(TrackingStage.of(other, session.rig) for other in others)]
