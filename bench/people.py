@@ -74,7 +74,7 @@ def judged(what: Recorded, found: Followed) -> Figures:
     frames = sum(map(len, known))
     several = len(truths) > 1
     people = score_people(tracks, truths, what.fps) if several else None
-    owned = [p.numbers[:1] for p in people.persons] if people else [tuple(sorted(tracks))[:1]]
+    owned = [numbers[:1] for numbers in people.who.numbers] if people else [tuple(sorted(tracks))[:1]]
     pairs = [
         (tracks[numbers[0]].at(rows), truth.points_world[rows])
         for numbers, truth, rows in zip(owned, truths, known, strict=True)

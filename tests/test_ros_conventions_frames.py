@@ -34,7 +34,6 @@ from sagoma_ros.images import camera_info_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_message
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
-from sagoma_tools.doctor.graph import REFUSED
 from sagoma_tools.evaluation.in_process import exact_silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -290,14 +289,14 @@ def test_two_graphs_in_one_domain_share_no_frame_and_no_id_of_a_person(open_prob
     assert {name for name in named[1] if not name.startswith(("studio_", "body_studio_"))} == set()
 
 
-def test_refused_camera_is_named_as_the_doctor_reads_it(hull):
+def test_refused_camera_is_named(hull):
     probe, camera = hull(), RIG.cameras[0].undistorted_view().camera
     sender = probe.peer.create_publisher(CameraInfo, f"{camera.name}/camera_info", SILHOUETTE_PUBLISHER)
     assert probe.node.trigger_activate() == SUCCESS
     probe.until(sender.get_subscription_count)
     other = replace(camera, K=camera.K * [[1.1], [1.1], [1.0]])
     sender.publish(camera_info_message(other, START_NS, f"{camera.name}_optical"))
-    probe.until_said(f"{REFUSED} {camera.name}:")
+    probe.until_said(f"refused: {camera.name}:")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is None, reason="tf2_msgs is not installed")

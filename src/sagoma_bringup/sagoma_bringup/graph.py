@@ -29,14 +29,13 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """A node: the package and executable that ``ros2 run`` takes, its module, its name, and its parameters.
+    """A node: the module that runs it (of the package and, by the node's name, the executable that ``ros2 run`` takes),
+    its name, and its parameters.
 
     namespace : "/" of the server, "/NAME" of a camera, below the graph's own where it has one.
     parameters : dotted keys; values are bool, int, float, str or lists of one of them.
     """
 
-    package: str
-    executable: str
     module: str
     name: str
     namespace: str
@@ -131,21 +130,19 @@ def session_graph(
         what = f"there is no background for {', '.join(without_background)}"
         remedy = f"Add {without_background[0]}_background.mp4 or .png: the empty scene."
         raise InputError(what, where=str(session.folder), remedy=remedy)
-    # by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
-    footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": 0 if rate else time.time_ns(), "loop": loop}
-    footage["wait_for_cameras"] = rate > 0
+    common = {
+        "rig_file": str(rig_file),
+        "source": "footage",
+        "footage.fps": session.fps,
+        "footage.rate": float(rate),
+        "footage.epoch_ns": 0 if rate else time.time_ns(),  # by no clock, the cameras' stamps begin alike
+        "footage.loop": loop,
+        "footage.wait_for_cameras": rate > 0,
+    }
+    files = {name: (session.backgrounds[name].resolve(), session.videos[name].resolve()) for name in session.rig.names}
     cameras = [
-        camera_node(
-            name,
-            {
-                "rig_file": str(rig_file),
-                "source": "footage",
-                "background": str(session.backgrounds[name].resolve()),
-                "footage.path": str(session.videos[name].resolve()),
-                **{f"footage.{key}": value for key, value in footage.items()},
-            },
-        )
-        for name in session.rig.names
+        camera_node(name, {**common, "background": str(background), "footage.path": str(video)})
+        for name, (background, video) in files.items()
     ]
     graph = server_graph(rig_file, body=body) + cameras
     waits: dict[str, Any] = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
@@ -168,30 +165,24 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
         "icp_tracker": {"initial_pose.rig_file": str(rig_file), **known},
         "ekf_tracker": {},
     }
-    modules = {"hull_server": "hull_node", "icp_tracker": "icp_node", "ekf_tracker": "ekf_node"}
-    return [
-        NodeSpec(name, name, f"{name}.{modules[name]}", name, "/", Role.SERVER, parameters[name])
-        for name in SERVER_NODES
-    ]
+    modules = ("hull_server.hull_node", "icp_tracker.icp_node", "ekf_tracker.ekf_node")
+    named = zip(modules, SERVER_NODES, strict=True)
+    return [NodeSpec(module, name, "/", Role.SERVER, parameters[name]) for module, name in named]
 
 
 def camera_node(name: str, parameters: Mapping[str, Any]) -> NodeSpec:
     """Return the camera client of one camera."""
     given = {"camera_name": name, **parameters}
-    return NodeSpec(CAMERA_NODE, CAMERA_NODE, f"{CAMERA_NODE}.camera_node", CAMERA_NODE, f"/{name}", Role.CAMERA, given)
+    return NodeSpec(f"{CAMERA_NODE}.camera_node", CAMERA_NODE, f"/{name}", Role.CAMERA, given)
 
 
 def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
     """Return one camera node for each camera of the rig, from the parameter files in ``cameras``."""
     names = load_rig(rig).names
     nodes = {node.label: node for node in cameras_from_files(cameras)}
-    unknown, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
-    if unknown:
-        remedy = f"Known cameras: {', '.join(names)}."
-        raise InputError(f"the rig {rig} has no camera {', '.join(unknown)}", where=str(cameras), remedy=remedy)
-    if absent:
-        what = f"the rig {rig} has {len(names)} cameras, but there is no parameter file for {', '.join(absent)}"
-        raise InputError(what, where=str(cameras), remedy=f"Add {absent[0]}.yaml, or take the camera out of the rig.")
+    if set(nodes) != set(names):
+        what = f"has parameter files of {', '.join(nodes)}; the cameras of {rig} are {', '.join(names)}"
+        raise InputError(what, where=str(cameras), remedy="Give one file for each camera of the rig, and no other.")
     rig_file = str(Path(rig).resolve())
     return [camera_node(name, {**nodes[name].parameters, "rig_file": rig_file, "autostart": False}) for name in names]
 
@@ -203,29 +194,23 @@ def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
     if not files or not all(file.is_file() for file in files):
         remedy = "Give a folder with one YAML a camera, or one such file."
         raise InputError("no camera parameter file", where=str(path), remedy=remedy)
-    nodes = [camera_from_file(file) for file in files]
-    labels = [node.label for node in nodes]
-    twice = sorted({label for label in labels if labels.count(label) > 1})
-    if twice:
-        remedy = "Keep one parameter file a camera."
-        raise InputError(f"{', '.join(twice)} is described twice", where=str(cameras), remedy=remedy)
-    return sorted(nodes, key=lambda node: node.label)
+    return sorted(map(camera_from_file, files), key=lambda node: node.label)
 
 
 def camera_from_file(path: str | Path) -> NodeSpec:
     """Return a camera node from a ROS parameter file whose one key is ``/CAMERA/camera_client``."""
     path = Path(path)
     document = read_mapping(path, f"Give a ROS parameter file with the key /CAMERA/{CAMERA_NODE}.")
-    keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
-    if len(document) != 1 or len(keys) != 1:
-        what = f"has the keys {', '.join(map(str, document)) or 'of no node'}"
-        raise InputError(what, where=str(path), remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.")
-    entry = document[keys[0]]
+    camera, _, name = str(next(iter(document), "")).removeprefix("/").partition("/")
+    entry = next(iter(document.values()), None)
     parameters = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
-    if not isinstance(parameters, Mapping):
-        remedy = "Put the parameters under it."
-        raise InputError("has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}", remedy=remedy)
-    return camera_node(str(keys[0]).split("/")[1], flatten(parameters))
+    if len(document) != 1 or name != CAMERA_NODE or not isinstance(parameters, Mapping):
+        what = f"has {', '.join(map(str, document)) or 'no key'}"
+        remedy = (
+            f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}, and the parameters in its ros__parameters."
+        )
+        raise InputError(what, where=str(path), remedy=remedy)
+    return camera_node(camera, flatten(parameters))
 
 
 def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:
@@ -267,24 +252,29 @@ def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> li
 
 ONE_PROCESS, THREE_PROCESSES = "one_process", "three_processes"
 SERVER_LAYOUTS = (ONE_PROCESS, THREE_PROCESSES)
-SERVER_PACKAGE, SERVER_EXECUTABLE, SERVER_MODULE = "mocap_pipeline", "mocap_server", "mocap_pipeline.server_node"
+SERVER_EXECUTABLE, SERVER_MODULE = "mocap_server", "mocap_pipeline.server_node"
 
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """A process: the package and executable that ``ros2 run`` takes, its module, and its nodes.
+    """A process: its module and its nodes. label : a short name for files and tables."""
 
-    label : a short name for files and tables.
-    """
-
-    package: str
-    executable: str
     module: str
     label: str
     nodes: tuple[NodeSpec, ...]
 
     def __str__(self) -> str:
         return ", ".join(node.full_name for node in self.nodes)
+
+    @property
+    def package(self) -> str:
+        """The package that ``ros2 run`` takes."""
+        return self.module.partition(".")[0]
+
+    @property
+    def executable(self) -> str:
+        """The executable that ``ros2 run`` takes."""
+        return self.nodes[0].name if len(self.nodes) == 1 else self.label
 
     @property
     def name_arguments(self) -> list[str]:
@@ -302,6 +292,5 @@ def processes_of(graph: Sequence[NodeSpec], server: str = ONE_PROCESS) -> list[P
     shared = [node for node in graph if node.role is Role.SERVER and node.name in SERVER_NODES]
     if server != ONE_PROCESS or len(shared) < len(SERVER_NODES):
         shared = []
-    together = [ProcessSpec(SERVER_PACKAGE, SERVER_EXECUTABLE, SERVER_MODULE, SERVER_EXECUTABLE, tuple(shared))]
-    alone = [ProcessSpec(n.package, n.executable, n.module, n.label, (n,)) for n in graph if n not in shared]
-    return (together if shared else []) + alone
+    together = [ProcessSpec(SERVER_MODULE, SERVER_EXECUTABLE, tuple(shared))] if shared else []
+    return together + [ProcessSpec(node.module, node.label, (node,)) for node in graph if node not in shared]

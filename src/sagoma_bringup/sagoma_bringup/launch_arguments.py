@@ -6,27 +6,15 @@ One table says what each file takes; the files, `ros2 launch --show-args` and th
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
-from capture_rig.settings import PLAYING_SPEED, SECONDS
-from capture_rig.yaml_file import read_mapping
+from capture_rig.settings import PLAYING_SPEED
 
-from .graph import (
-    ALL_CAMERAS,
-    ONE_PROCESS,
-    SERVER_LAYOUTS,
-    NodeSpec,
-    ProcessSpec,
-    apply_settings,
-    build_graph,
-    camera_from_file,
-    processes_of,
-)
+from .graph import ALL_CAMERAS, ONE_PROCESS, SERVER_LAYOUTS, NodeSpec, apply_settings, build_graph, camera_from_file
 
 AUTO_START, T_POSE_START, REFERENCE_START = "auto", "t_pose", "session"
 STARTS = (AUTO_START, T_POSE_START, REFERENCE_START)
@@ -62,7 +50,6 @@ OF_ANY_NODE = (
     switch("use_sim_time", "every node takes the time from /clock, as of a bag that is played"),
     switch("autostart", "configure and activate at start; false: `sagoma start` does, from any machine", "true"),
     Argument("on_exit", "when a node dies: start it again, or end the whole launch", RESTART, (RESTART, SHUTDOWN)),
-    Argument("respawn_delay", "seconds before a node that died is started again", f"{RESTART_DELAY_S:g}"),
 )
 OF_A_SERVER = (
     Argument("body", "body YAML; empty: measured when a person is found", ""),
@@ -71,7 +58,6 @@ OF_A_SERVER = (
     Argument("params", "ROS parameter file for all nodes, read last: its values win (keys: /**/hull_server ...)", ""),
     Argument("server", "hull, ICP and EKF nodes in one process, or in one each", ONE_PROCESS, SERVER_LAYOUTS),
 )
-ON_A_DESK = (switch("rviz", "show it in rviz2"),)
 OF_FOOTAGE = (
     Argument("session", "folder with rig.yaml, camNN.mp4, camNN_background.png or .mp4"),
     Argument("rate", "playing speed; 0: as fast as the graph can, which drops nothing then", "0"),
@@ -87,13 +73,8 @@ FROM_A_SESSION = Argument(
 CAMERAS = Argument("cameras", "folder with one parameter file a camera of the rig")
 ARGUMENTS: Mapping[str, tuple[Argument, ...]] = {
     "server": (RIG, *OF_A_SERVER, *OF_ANY_NODE),
-    "all_in_one": (RIG, CAMERAS, *OF_A_SERVER, *OF_ANY_NODE, *ON_A_DESK),
-    "demo": (
-        *OF_FOOTAGE,
-        *(FROM_A_SESSION if one.name == "start" else one for one in OF_A_SERVER),
-        *OF_ANY_NODE,
-        *ON_A_DESK,
-    ),
+    "all_in_one": (RIG, CAMERAS, *OF_A_SERVER, *OF_ANY_NODE),
+    "demo": (*OF_FOOTAGE, *(FROM_A_SESSION if one.name == "start" else one for one in OF_A_SERVER), *OF_ANY_NODE),
     "camera": (
         Argument("camera", "name of the camera in the rig, e.g. cam01"),
         Argument("params", "parameter file of this camera (default: config/camera/CAMERA.yaml of sagoma_bringup)", ""),
@@ -104,62 +85,38 @@ ARGUMENTS: Mapping[str, tuple[Argument, ...]] = {
 """By the name of the launch file."""
 
 
-@dataclass(frozen=True)
-class LaunchRequest:
-    """What a launch file has to start.
-
-    respawn_delay_s : None: the launch ends when a node does.
-    parameter_files : read by every process after its own parameters.
-    """
-
-    processes: tuple[ProcessSpec, ...]
-    namespace: str
-    tf_prefix: str
-    respawn_delay_s: float | None
-    parameter_files: tuple[str, ...]
-    use_sim_time: bool
-    rviz: bool
-
-
-def read_request(file: str, values: Mapping[str, str]) -> LaunchRequest:
-    """Return what the launch file named ``file`` has to start for the arguments' values.
+def described_graph(file: str, values: Mapping[str, str]) -> list[NodeSpec]:
+    """Return the nodes that the launch file named ``file`` has to start for the arguments' values.
 
     Raises InputError, before anything is started, for a value that cannot be used.
     """
     graph = camera_graph(values) if file == "camera" else server_graph(values)
-    common: dict[str, Any] = {"autostart": _true(values, "autostart")}
-    if _true(values, "use_sim_time"):
+    common: dict[str, Any] = {"autostart": is_true(values, "autostart")}
+    if is_true(values, "use_sim_time"):
         common["use_sim_time"] = True
     namespace = values["namespace"].strip("/")
     prefix = {"tf_prefix": f"{namespace.replace('/', '_')}_"} if namespace else {}
-    graph = [node.with_parameters({**prefix, **node.parameters, **common}) for node in graph]
-    own = () if file == "camera" else _parameter_files(values["params"])
-    return LaunchRequest(
-        processes=tuple(processes_of(graph, values.get("server", ONE_PROCESS))),
-        namespace=namespace,
-        tf_prefix=prefix.get("tf_prefix", ""),
-        respawn_delay_s=_number(values, "respawn_delay", SECONDS) if values["on_exit"] == RESTART else None,
-        parameter_files=own,
-        use_sim_time=_true(values, "use_sim_time"),
-        rviz=_true(values, "rviz"),
-    )
+    return [node.with_parameters({**prefix, **node.parameters, **common}) for node in graph]
 
 
 def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
     """Return the server's nodes, and the cameras' of a session or of ``cameras``."""
     session = load_session(values["session"]) if "session" in values else None
     settings = start_settings(session, values["start"])
-    if _true(values, "publish_humans"):
+    if is_true(values, "publish_humans"):
         settings["ekf_tracker.publish_humans"] = True
     if session is not None:
         settings |= PLAY_IN_STEP
-    rate = _number(values, "rate", PLAYING_SPEED) if session is not None else 1.0
+    try:
+        rate = PLAYING_SPEED(values.get("rate", "1"))
+    except ArgumentTypeError as error:
+        raise InputError(f"is {values['rate']}", where="argument rate", remedy=f"{error}.") from None
     return build_graph(
         session=values.get("session"),
         rig=values.get("rig"),
         cameras=values.get("cameras"),
         rate=rate,
-        loop=_true(values, "loop"),
+        loop=is_true(values, "loop"),
         body=values["body"] or None,
         settings=settings,
     )
@@ -198,23 +155,9 @@ def start_settings(session: Session | None, start: str = AUTO_START) -> dict[str
     }
 
 
-def _parameter_files(path: str) -> tuple[str, ...]:
-    if not path:
-        return ()
-    read_mapping(Path(path), "Give a ROS parameter file.")
-    return (str(Path(path).resolve()),)
-
-
-def _true(values: Mapping[str, str], name: str) -> bool:
+def is_true(values: Mapping[str, str], name: str) -> bool:
+    """Return the value of an argument that is true or false; false where the file has none of it."""
     text = values.get(name, "false").lower()
     if text not in ("true", "false"):
         raise InputError(f"is '{text}'", where=f"argument {name}", remedy="Give true or false.")
     return text == "true"
-
-
-def _number(values: Mapping[str, str], name: str, read: Callable[[str], float]) -> float:
-    try:
-        return read(values[name])
-    except ArgumentTypeError as error:
-        what, _, allowed = str(error).partition("; ")
-        raise InputError(what, where=f"argument {name}", remedy=f"{allowed.capitalize()}.") from None

@@ -58,11 +58,13 @@ def test_session_that_does_not_fit_is_an_error_that_says_what_does(session, miss
         build_graph(session=session, **given)
 
 
-def test_only_one_camera_is_picked_by_its_name(session):
-    (node,) = build_graph(session=session, only="cam02")
-    assert node.full_name == "/cam02/camera_client"
-    assert [n.full_name for n in build_graph(session=session, only="server")] == SERVER
-    assert [n.label for n in build_graph(session=session, only="cameras")] == ["cam01", "cam02"]
+def test_a_part_of_the_graph_is_picked_by_its_name_and_a_rig_alone_is_the_server(session):
+    parts = {
+        part: [n.label for n in build_graph(session=session, only=part)] for part in ("cam02", "cameras", "server")
+    }
+    assert parts == {"cam02": ["cam02"], "cameras": ["cam01", "cam02"], "server": list(SERVER_NODES)}
+    assert [node.full_name for node in build_graph(rig=RING4)] == SERVER
+    assert [node.label for node in build_graph(cameras=CONFIG / "camera" / "footage" / "cam01.yaml")] == ["cam01"]
 
 
 @pytest.mark.parametrize(("clock_speed", "lossless"), [(1.0, False), (0.25, True)])
@@ -71,10 +73,6 @@ def test_server_leaves_nothing_out_for_cameras_in_slow_motion(tmp_path, clock_sp
         camera_file(tmp_path, name, aravis={"clock_speed": clock_speed})
     hull = build_graph(rig=RING4, cameras=tmp_path)[0]
     assert hull.parameters.get("reliable", False) == lossless
-
-
-def test_rig_alone_is_the_server_alone():
-    assert [node.full_name for node in build_graph(rig=RING4)] == SERVER
 
 
 def test_cameras_without_a_rig_are_driven_by_whoever_starts_them(tmp_path):
@@ -86,36 +84,18 @@ def test_cameras_without_a_rig_are_driven_by_whoever_starts_them(tmp_path):
     assert all(node.parameters["autostart"] is False and "rig_file" not in node.parameters for node in graph)
 
 
-def test_camera_file_alone_is_that_camera_alone():
-    (node,) = build_graph(cameras=CONFIG / "camera" / "footage" / "cam01.yaml")
-    assert node.full_name == "/cam01/camera_client" and node.parameters["source"] == "footage"
-
-
-@pytest.mark.parametrize(
-    ("count", "message"),
-    [
-        (2, "has 4 cameras, but there is no parameter file for cam03, cam04"),
-        (5, "has no camera cam05.*Known cameras: cam01, cam02, cam03, cam04"),
-    ],
-)
-def test_cameras_that_are_not_those_of_the_rig_are_an_error(tmp_path, count, message):
+@pytest.mark.parametrize("count", [2, 5])
+def test_cameras_that_are_not_those_of_the_rig_are_an_error(tmp_path, count):
     for number in range(1, count + 1):
         camera_file(tmp_path, f"cam{number:02d}")
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=r"cam01, cam02.*; the cameras of .* are cam01, cam02, cam03, cam04"):
         build_graph(rig=RING4, cameras=tmp_path)
-
-
-def test_two_files_for_one_camera_are_an_error(tmp_path):
-    camera_file(tmp_path, "cam01")
-    (tmp_path / "again.yaml").write_text((tmp_path / "cam01.yaml").read_text())
-    with pytest.raises(InputError, match=r"cam01 .*twice"):
-        build_graph(cameras=tmp_path)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "of no node"),
+        ("", "no key"),
         ("- a", "is not a mapping"),
         ("a: [", "is not valid YAML"),
         ("/cam01/hull_server: {ros__parameters: {}}", "/CAMERA/camera_client"),

@@ -15,9 +15,9 @@ BONES = np.array(
     [(2, 0), (2, 1), (3, 4), (5, 6), (0, 5), (0, 6), (3, 7),
      (7, 11), (4, 8), (8, 12), (5, 9), (9, 13), (6, 10), (10, 14)]
 )  # fmt: skip
-LEFT, RIGHT = {3, 5, 7, 9, 11, 13}, {4, 6, 8, 10, 12, 14}
 LEFT_BGR, RIGHT_BGR, MIDDLE_BGR, TRUTH_BGR = (255, 160, 40), (60, 90, 255), (60, 230, 60), (255, 255, 255)
 JOINT_BGR = (40, 40, 40)
+COLOURS = (*[MIDDLE_BGR] * 4, LEFT_BGR, RIGHT_BGR, *[*[LEFT_BGR] * 2, *[RIGHT_BGR] * 2] * 2)  # of the lines
 MARGIN, SMALLEST_WINDOW_PX = 0.15, 60.0
 
 
@@ -68,21 +68,16 @@ def draw_skeleton(
     pixels = (camera.project(points_world) - view.origin_px) * view.scale
     drawable = np.asarray(np.isfinite(pixels).all(axis=1) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=1))
     thick = max(2, round(image.shape[0] / 240))
-    for a, b in BONES.tolist():
+    width = max(1, thick // 3) if colour else thick
+    for (a, b), own in zip(BONES.tolist(), COLOURS, strict=True):
         if drawable[[a, b]].all():
-            ends, line = (_rounded(pixels[a]), _rounded(pixels[b])), max(1, thick // 3) if colour else thick
-            cv2.line(image, *ends, colour or _side_colour(a, b), line, cv2.LINE_AA)
+            cv2.line(image, _rounded(pixels[a]), _rounded(pixels[b]), colour or own, width, cv2.LINE_AA)
     for pixel in pixels[drawable] if colour is None else ():
         cv2.circle(image, _rounded(pixel), thick, JOINT_BGR, -1, cv2.LINE_AA)
 
 
 def _rounded(pixel: np.ndarray) -> tuple[int, int]:
     return round(float(pixel[0])), round(float(pixel[1]))
-
-
-def _side_colour(a: int, b: int) -> tuple[int, int, int]:
-    left, right = {a, b} & LEFT, {a, b} & RIGHT
-    return MIDDLE_BGR if bool(left) == bool(right) else LEFT_BGR if left else RIGHT_BGR
 
 
 def overlay(

@@ -37,11 +37,11 @@ MARKERS_NEAR = (
 """The 39 markers: those near each of the fifteen points."""
 
 
-def write_c3d(path: Path, tracks_mm: dict, rate_hz=120.0, unit="mm", step=0.0, prefix="") -> Path:
-    """A C3D file of tracks (F, 3) by label; ``step`` > 0: 16-bit integers of so many units each, else 32-bit floats."""
+def write_c3d(path: Path, tracks_mm: dict, rate_hz=120.0, unit="mm", prefix="") -> Path:
+    """A C3D file of tracks (F, 3) by label, as 32-bit floats."""
     points = np.stack(list(tracks_mm.values()), axis=1)
     frames, count = points.shape[:2]
-    scale = step if step > 0 else -0.05
+    scale = -0.05  # negative: floats
     labels = [prefix + label for label in tracks_mm]
     width = max(map(len, labels))
 
@@ -59,8 +59,8 @@ def write_c3d(path: Path, tracks_mm: dict, rate_hz=120.0, unit="mm", step=0.0, p
     body += parameter("UNITS", -1, [len(unit)], unit.encode()) + parameter("LABELS", -1, [width, count], text)
     blocks = -(-(len(body) + 6) // 512)
     header = struct.pack("<BBHHHHHfHHf", 2, 0x50, count, 0, 1, frames, 0, scale, 2 + blocks, 0, rate_hz)
-    words = np.zeros((frames, count, 4), "<i2" if step > 0 else "<f4")
-    words[..., :3] = np.round(points / step) if step > 0 else points
+    words = np.zeros((frames, count, 4), "<f4")
+    words[..., :3] = points
     words[..., 3] = np.where((points == 0).all(axis=2), -1, 0)
     parameters = struct.pack("<BBBB", 1, 0x50, blocks, 84) + body
     path.write_bytes(header.ljust(512, b"\0") + parameters.ljust(512 * blocks, b"\0") + words.tobytes())

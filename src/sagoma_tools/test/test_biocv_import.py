@@ -60,9 +60,9 @@ def trial(toured, tmp_path):
 
 
 def test_rig_points_and_rate_come_back(toured, trial, tmp_path):
-    summary = import_trial(trial, tmp_path / "session")
+    said = import_trial(trial, tmp_path / "session")
     session = load_session(tmp_path / "session")
-    assert (summary.frames, session.fps, list(session.videos)) == (FRAMES, FPS, [*NAMES])
+    assert (session.fps, list(session.videos)) == (FPS, [*NAMES]) and f"{FRAMES} frames" in said[0]
     for mine, true in zip(session.rig.cameras, toured.rig.cameras, strict=True):
         points = toured.truth.points_world[0]
         np.testing.assert_allclose(mine.project(points), true.project(points), atol=0.01)
@@ -71,16 +71,16 @@ def test_rig_points_and_rate_come_back(toured, trial, tmp_path):
         expected[:, hand] = expected[:, elbow] + WRIST_FRACTION * (expected[:, hand] - expected[:, elbow])
     assert np.abs(session.truth.points_world - expected).max() < 1e-3
     assert session.rig.volume.low[2] < 0.0 < session.rig.volume.high[2]
-    assert summary.markers["LKnee"] == ("LKNE", "LKNEM") and summary.frames_with_truth == FRAMES
+    assert "LKnee: LKNE, LKNEM" in said and f"in {FRAMES} frames" in said[-1]
 
 
 def test_a_marker_that_was_not_seen_leaves_its_point_unknown(toured, trial, tmp_path):
     tracks = tracks_mm(toured.truth.points_world)
     tracks["LKNE"][:5] = 0.0
     write_c3d(trial / "markers.c3d", tracks, MOCAP_HZ)
-    summary = import_trial(trial, tmp_path / "session")
+    said = import_trial(trial, tmp_path / "session")
     unknown = np.isnan(load_session(tmp_path / "session").truth.points_world[:, 9]).any(axis=1)
-    assert unknown[0] and not unknown[-1] and summary.frames_with_truth == FRAMES - unknown.sum()
+    assert unknown[0] and not unknown[-1] and f"in {FRAMES - unknown.sum()} frames" in said[-1]
 
 
 def test_motion_capture_that_began_later_is_moved_in_time(toured, trial, tmp_path):
@@ -96,8 +96,8 @@ def test_markers_by_other_names_are_listed_and_can_be_given(toured, trial, tmp_p
     with pytest.raises(InputError, match=r"no markers for LShoulder, RShoulder .* L_glen"):
         import_trial(trial, tmp_path / "session")
     (tmp_path / "markers.yaml").write_text("LShoulder: [L_glen]\nRShoulder: [R_glen]\n")
-    summary = import_trial(trial, tmp_path / "session", markers=tmp_path / "markers.yaml")
-    assert summary.markers["LShoulder"] == ("L_glen",)
+    said = import_trial(trial, tmp_path / "session", markers=tmp_path / "markers.yaml")
+    assert "LShoulder: L_glen" in said
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ CANVASES = {camera.name: GraphFacts(0, rig=RIG).canvas(camera.name) for camera i
 
 
 def node(name):
-    return NodeFacts(name, "active", 1, NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
+    return NodeFacts(name, "active", 1, NodeReport(b"\0", "running", lead_s=-3e-4))
 
 
 def reporting(node, **changes):
@@ -32,7 +32,7 @@ def reporting(node, **changes):
 
 
 def silhouettes(camera, **changes):
-    facts = SilhouetteFacts(camera, 1, 60, CANVASES[camera], 60, share=0.05, changes=59, age_s=0.02)
+    facts = SilhouetteFacts(camera, CANVASES[camera], 60, share=0.05, changes=59, age_s=0.02)
     return replace(facts, **changes)
 
 
@@ -49,6 +49,10 @@ def graph(changed=(), sent=(), **changes):
     all_cameras = {**SENT, **{c.camera: c for c in sent}}
     facts = GraphFacts(46, tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG)
     return replace(facts, **changes)
+
+
+def without(node, facts):
+    return replace(facts, nodes=tuple(one for one in facts.nodes if one is not node))
 
 
 def troubles(facts):
@@ -75,81 +79,67 @@ def test_empty_room_is_no_trouble():
 C2 = CLIENTS["cam02"]
 
 
+OF_THE_NODE = [
+    (replace(C2, state=None, report=None), "ERROR", "node.silent", ""),
+    (replace(C2, state=None), "ERROR", "node.silent", "does not answer:"),
+    (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
+    (replace(C2, state="inactive"), "WARNING", "state.inactive", ""),
+    (replace(C2, copies=2), "ERROR", "node.duplicate", "2 nodes call themselves /cam02/camera_client"),
+    (reporting(C2, level=b"\2", message="no camera: it is off"), "ERROR", "says.error", "no camera: it is off"),
+    (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
+    (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
+    (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "501.2 ms behind"),
+    (reporting(C2, lead_s=0.029), "WARNING", "clock.imprecise", "29.0 ms ahead"),
+]
+OF_ITS_SILHOUETTES = [
+    ({"masks": 0, "share": 0.0}, "ERROR", "silhouettes.not_arriving", "none arrives"),
+    ({"share": 0.0}, "WARNING", "silhouettes.blank", "cam01, cam03"),
+    ({"share": 0.7}, "ERROR", "silhouettes.flooded", "70.0 %"),
+    ({"changes": 0}, "ERROR", "silhouettes.frozen", "60 came"),
+    ({"lost": 30}, "WARNING", "network.loss", "30 of 90 silhouettes"),
+    ({"age_s": -0.4}, "ERROR", "stamps.ahead", "0.400 s"),
+    ({"age_s": 3.0}, "WARNING", "latency.old", "3.0 s"),
+    ({"canvas": CANVASES["cam02"]._replace(fx=480.0)}, "ERROR", "camera_info.differs", "fx 480.00"),
+]
+SENDING = reporting(C2, values={"rate_hz": "10.0"})
+RATES = zip(CLIENTS.values(), ("60", "30", "60"), strict=True)
+SLOW = [reporting(client, values={"frame_rate": rate}) for client, rate in RATES]
+CAMERA, GRAPH = "camera cam02", "graph"
+OF_THE_GRAPH = [
+    (graph([SENDING], [silhouettes("cam02", masks=0)]), CAMERA, "ERROR", "silhouettes.not_arriving", "10.0 a second"),
+    (graph(sets=()), GRAPH, "ERROR", "frame_sets.none", ""),
+    (graph(sets=({**SET, "spread_ms": "40.0"},) * 60), GRAPH, "WARNING", "sync.spread", "40.0 ms, of a frame"),
+    (graph(sets=({**SET, "published_ms": "900.0"},) * 60), GRAPH, "WARNING", "latency.late", "900 ms"),
+    (graph(sets=({**SET, "points": "0"},) * 60), GRAPH, "ERROR", "centerline.empty", "3 cameras"),
+    (graph(sets=({**SET, "missing": "cam02"}, SET) * 30), CAMERA, "WARNING", "frame_sets.missing_camera", "30 of 60"),
+    (graph(SLOW), GRAPH, "WARNING", "settings.frame_rate_differs", "cam01 60, cam02 30, cam03 60"),
+    (without(ICP, graph()), GRAPH, "ERROR", "nodes.server_missing", "ROS_DOMAIN_ID 46: /icp_tracker"),
+    (without(C2, graph([], [SilhouetteFacts("cam02")])), CAMERA, "ERROR", "node.missing", ""),
+    (graph([], [SilhouetteFacts("cam77", masks=5, share=0.05)]), GRAPH, "WARNING", "cameras.not_in_rig", "cam77"),
+]
+
+
 @pytest.mark.parametrize(
-    "changed, severity, code, value",
+    "facts, subject, severity, code, value",
     [
-        (replace(C2, state=None, report=None), "ERROR", "node.silent", ""),
-        (replace(C2, state=None), "WARNING", "node.unresponsive", ""),
-        (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
-        (replace(C2, state="inactive"), "WARNING", "state.inactive", ""),
-        (replace(C2, copies=2), "ERROR", "node.duplicate", "2 nodes call themselves /cam02/camera_client"),
-        (reporting(C2, level=b"\2", message="no camera: it is off"), "ERROR", "says.error", "no camera: it is off"),
-        (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
-        (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
-        (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "500.4 ms behind"),
-        (reporting(C2, lead_s=0.029), "WARNING", "clock.imprecise", "29.0 ms ahead"),
+        *((graph([node]), CAMERA, *expected) for node, *expected in OF_THE_NODE),
+        *(
+            (graph([], [silhouettes("cam02", **changes)]), CAMERA, *expected)
+            for changes, *expected in OF_ITS_SILHOUETTES
+        ),
+        *OF_THE_GRAPH,
     ],
 )
-def test_ill_node_is_named(changed, severity, code, value):
-    (found,) = troubles(graph([changed]))
-    assert found[:3] == (severity, "camera cam02", code) and value in found[3]
+def test_what_is_wrong_is_named_where_it_is(facts, subject, severity, code, value):
+    (found,) = troubles(facts)
+    assert found[:3] == (severity, subject, code) and value in found[3]
 
 
-def test_clock_within_what_can_be_told_is_no_trouble():
-    # behind by 20 ms at the most, or by nothing: the answers take as long
-    assert troubles(graph([replace(reporting(C2, lead_s=-0.020), round_trip_s=0.021)])) == []
-
-
-@pytest.mark.parametrize(
-    "changes, severity, code, value",
-    [
-        ({"publishers": 2}, "ERROR", "silhouettes.duplicate_publisher", "2 "),
-        ({"masks": 0, "share": 0.0}, "ERROR", "silhouettes.not_arriving", "none arrives"),
-        ({"masks": 0, "share": 0.0, "infos": 0}, "WARNING", "silhouettes.none_sent", ""),
-        ({"share": 0.0}, "WARNING", "silhouettes.blank", "cam01, cam03"),
-        ({"share": 0.7}, "ERROR", "silhouettes.flooded", "70.0 %"),
-        ({"changes": 0}, "ERROR", "silhouettes.frozen", "60 came"),
-        ({"bad": 1}, "ERROR", "silhouettes.undecodable", ""),
-        ({"lost": 30}, "WARNING", "network.loss", "30 of 90 silhouettes"),
-        ({"age_s": -0.4}, "ERROR", "stamps.ahead", "0.400 s"),
-        ({"age_s": 3.0}, "WARNING", "latency.old", "3.0 s"),
-        ({"canvas": None}, "WARNING", "camera_info.missing", ""),
-        ({"canvas": CANVASES["cam02"]._replace(fx=480.0)}, "ERROR", "camera_info.differs", "fx 480.00"),
-    ],
-)
-def test_implausible_silhouettes_are_named(changes, severity, code, value):
-    (found,) = troubles(graph([], [silhouettes("cam02", **changes)]))
-    assert found[:3] == (severity, "camera cam02", code) and value in found[3]
-
-
-def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes_and_alone_no_server():
+def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes():
     text = "uncalibrated: no silhouettes; run sagoma calibrate"
-    clients = tuple(reporting(node, level=b"\1", message=text) for node in CLIENTS.values())
-    facts = graph([clients[1]], [silhouettes("cam02", masks=0, share=0.0, canvas=Canvas(640, 480, 0, 0, 0, 0))])
+    client = reporting(C2, level=b"\1", message=text)
+    facts = graph([client], [silhouettes("cam02", masks=0, share=0.0, canvas=Canvas(640, 480, 0, 0, 0, 0))])
     assert [(code, what) for _, _, code, what in troubles(facts)] == [("says.warning", text)]
-    alone = graph(sets=(), rig=None, nodes=clients, cameras=())
-    assert {code for _, _, code, _ in troubles(alone)} == {"says.warning"}
-    with_one_that_is = replace(alone, nodes=(*clients[:2], CLIENTS["cam03"]))
-    assert "nodes.server_missing" in {code for _, _, code, _ in troubles(with_one_that_is)}
-
-
-def test_node_that_sends_and_is_not_heard_tells_of_the_network():
-    sending = reporting(C2, values={"rate_hz": "10.0"})
-    (found,) = troubles(graph([sending], [silhouettes("cam02", masks=0, infos=0, share=0.0)]))
-    assert found[:3] == ("ERROR", "camera cam02", "silhouettes.not_arriving") and "10.0 a second" in found[3]
-
-
-def without(node, facts):
-    return replace(facts, nodes=tuple(one for one in facts.nodes if one is not node))
-
-
-def test_absent_client_stranger_and_tracker_are_named():
-    stranger = SilhouetteFacts("cam77", 1, 5, Canvas(640, 480, 1, 1, 1, 1), 5, share=0.05)
-    stray, absent = troubles(without(C2, graph([], [SilhouetteFacts("cam02"), stranger])))
-    assert stray[:3] == ("WARNING", "graph", "cameras.not_in_rig") and "cam77" in stray[3]
-    assert absent[:3] == ("ERROR", "camera cam02", "node.missing")
-    (found,) = troubles(without(ICP, graph()))
-    assert found[:3] == ("ERROR", "graph", "nodes.server_missing") and "/icp_tracker" in found[3] and "46" in found[3]
 
 
 def test_nobody_heard_says_where_nodes_are(monkeypatch):
@@ -158,38 +148,6 @@ def test_nobody_heard_says_where_nodes_are(monkeypatch):
     finding = next(iter(graph_findings(GraphFacts(46, rig=RIG))))
     assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
     assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
-
-
-def test_server_with_another_rig_file_is_told_from_a_camera_with_another():
-    refusing = reporting(HULL, level=b"\2", message="refused: cam02: K with fx 1, but the rig says fx 2")
-    facts = graph([refusing], hull_rig_file="/old/rig.yaml")
-    assert any(subject == "hull_server" and "/old/rig.yaml" in what for _, subject, _, what in troubles(facts))
-    theirs = silhouettes("cam02", canvas=CANVASES["cam02"]._replace(fx=480.0))
-    found = [(subject, code) for _, subject, code, _ in troubles(graph([refusing], [theirs]))]
-    assert ("camera cam02", "camera_info.differs") in found and "rig.refused" not in dict(map(reversed, found))
-
-
-@pytest.mark.parametrize(
-    "sets, subject, code, value",
-    [
-        ((), "graph", "frame_sets.none", ""),
-        (({**SET, "spread_ms": "40.0"},) * 60, "graph", "sync.spread", "40.0 ms, of a frame period of 100 ms"),
-        (({**SET, "published_ms": "900.0"},) * 60, "graph", "latency.late", "900 ms"),
-        (({**SET, "points": "0"},) * 60, "graph", "centerline.empty", "3 cameras"),
-        (({**SET, "missing": "cam02"}, SET) * 30, "camera cam02", "frame_sets.missing_camera", "30 of 60"),
-    ],
-)
-def test_frame_sets_that_do_not_come_or_fit_are_named(sets, subject, code, value):
-    (found,) = troubles(graph(sets=sets))
-    assert found[1:3] == (subject, code) and value in found[3]
-
-
-def test_cameras_that_are_set_differently_are_named_together():
-    fast, slow = ({"frame_rate": rate, "sync": "ptp"} for rate in ("60", "30"))
-    settings = [reporting(CLIENTS["cam01"], values=fast), reporting(CLIENTS["cam03"], values=fast)]
-    assert troubles(graph([*settings, reporting(C2, values=fast)])) == []
-    (trouble,) = troubles(graph([*settings, reporting(C2, values=slow)]))
-    assert trouble[1:3] == ("graph", "settings.frame_rate_differs") and "cam01 60, cam02 30, cam03 60" in trouble[3]
 
 
 @pytest.mark.parametrize("grade, expected", [("good", []), ("usable", []), ("redo", ["background.failed"])])
@@ -247,23 +205,20 @@ def codes(findings):
     return {finding.code for finding in findings}
 
 
-def test_every_node_is_heard_with_state_round_trip_and_silhouettes(heard):
+def test_every_node_is_heard_with_state_and_silhouettes(heard):
     clients = {"/cam01/camera_client", "/cam02/camera_client"}
     assert {node.name for node in heard.nodes} == clients | {"/hull_server", "/icp_tracker", "/ekf_tracker"}
-    for node in heard.nodes:
-        assert node.state == "active" and node.copies == 1
-        assert 0 < node.round_trip_s < 1.0
+    assert {(node.state, node.copies) for node in heard.nodes} == {("active", 1)}
     sent = {camera.camera: camera for camera in heard.cameras}
     assert sent["cam01"].masks > 10 and sent["cam01"].changes > 10 and sent["cam01"].lost == 0
     canvas = sent["cam01"].canvas  # of which 80 x 300 pixels are somebody
     assert sent["cam01"].share == pytest.approx(80 * 300 / (canvas.width * canvas.height))
     assert sent["cam02"].share == 0.0
-    assert sent["cam03"].publishers == 0 and sent["cam03"].masks == 0
+    assert sent["cam03"].masks == 0
 
 
-def test_clock_half_a_second_ahead_is_measured_to_a_round_trip(heard, found):
-    node = heard.node("/cam02/camera_client")
-    assert node.report.lead_s <= 0.5 <= node.report.lead_s + node.round_trip_s + 0.02
+def test_clock_half_a_second_ahead_is_measured(heard, found):
+    assert heard.node("/cam02/camera_client").report.lead_s == pytest.approx(0.5, abs=0.1)
     assert codes(found["camera cam02"]) >= {"clock.off", "stamps.ahead"}
     assert "clock.ok" in codes(found["camera cam01"])
 

@@ -3,24 +3,15 @@
 import io
 import os
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
-import psutil
 import pytest
 
 from capture_rig.errors import InputError
 from sagoma_tools.console import CommandConsole
 from sagoma_tools.doctor import machine
 from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, show, summary, warning
-from sagoma_tools.doctor.machine import (
-    Interface,
-    check_disk,
-    domains_of_ports,
-    examine_machine,
-    interface_to,
-    interfaces,
-)
+from sagoma_tools.doctor.machine import Interface, domains_of_ports, examine_machine, interface_to, interfaces
 
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
 VARIABLES = ("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
@@ -36,12 +27,21 @@ def memory(available):
     return lambda: SimpleNamespace(available=available)
 
 
+def small_shared_memory(path):
+    """As a container has it."""
+    return SimpleNamespace(free=60 << 20, total=64 << 20) if path == "/dev/shm" else disk(50 * GIB)(path)
+
+
+def hidden(path):
+    raise FileNotFoundError
+
+
 def missing_middleware():
     raise RuntimeError("no lib")
 
 
 def missing_aravis():
-    raise InputError("Aravis is not available")
+    raise InputError("Aravis is not available", remedy="Install it.")
 
 
 def answers(**programs):
@@ -75,7 +75,7 @@ def examined(monkeypatch, tmp_path):
         monkeypatch.setenv("NUMBA_CACHE_DIR", variables.get("NUMBA_CACHE_DIR", str(tmp_path)))
         for name, value in {**GOOD, **changes}.items():
             monkeypatch.setattr(f"sagoma_tools.doctor.{name}", value)
-        found = [finding for finding in examine_machine(tmp_path / "bags") if finding.severity > Severity.OK]
+        found = [finding for finding in examine_machine() if finding.severity > Severity.OK]
         assert all(finding.remedy for finding in found if finding.severity >= Severity.WARNING)
         return [(finding.severity.name, finding.code, finding.what + finding.remedy) for finding in found]
 
@@ -92,7 +92,11 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine.sys.version_info": (3, 13, 0)}, "WARNING", "python.untested", "3.13"),
         ({"machine.os.getloadavg": lambda: (7.5, 0, 0)}, "WARNING", "cores.busy", "0.5 of"),
         ({"machine.psutil.virtual_memory": memory(100 << 20)}, "WARNING", "memory.low", "100 MiB"),
-        ({"machine.import_aravis": missing_aravis}, "ERROR", "aravis.missing", "Aravis is not available"),
+        ({"machine.psutil.disk_usage": small_shared_memory}, "WARNING", "shm.small", "60 of 64 MiB"),
+        ({"machine.psutil.disk_usage": disk(3 * GIB)}, "WARNING", "disk.low", "3.0 GiB"),
+        ({"machine.psutil.disk_usage": disk(150 << 20)}, "ERROR", "disk.full", "0.1 GiB"),
+        ({"machine.Path.read_text": hidden}, "NOTE", "rmem_max.unknown", "container"),
+        ({"machine.import_aravis": missing_aravis}, "ERROR", "aravis.unusable", "Aravis is not available"),
         ({"machine._answer": answers(chronyc="0,,0,0.0,0.0")}, "WARNING", "clock.unsynchronised", "chrony"),
         ({"machine._answer": answers(chronyc="A,B,3,0.0,-0.005")}, "WARNING", "clock.off", "5 ms"),
         ({"machine._answer": answers(timedatectl="no")}, "WARNING", "clock.unsynchronised", "systemd"),
@@ -123,18 +127,6 @@ def test_environment_that_misleads_nodes_is_found(examined, variables, severity,
     assert found[:2] == (severity, code) and value in found[2]
 
 
-@pytest.mark.parametrize("free, code", [(100 << 20, "disk.full"), (GIB, "disk.low"), (50 * GIB, "disk.ok")])
-def test_disk_for_bags_has_room(monkeypatch, tmp_path, free, code):
-    monkeypatch.setattr(psutil, "disk_usage", disk(free))
-    assert check_disk(tmp_path / "not" / "yet" / "there").code == code
-
-
-def test_folder_that_is_a_file_cannot_take_bags(tmp_path):
-    (tmp_path / "bags").write_text("")
-    finding = check_disk(tmp_path / "bags")
-    assert finding.code == "disk.unusable" and "is not a folder" in finding.what
-
-
 @pytest.mark.parametrize(
     "compiled, writable, code", [(0, True, "kernels.not_compiled"), (1, False, "kernels.read_only")]
 )
@@ -144,20 +136,6 @@ def test_kernels_that_compile_at_every_start_are_found(monkeypatch, tmp_path, co
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(os, "access", lambda path, mode: writable)
     assert machine.check_kernels().code == code
-
-
-def test_small_shared_memory_of_a_container_is_found(monkeypatch):
-    monkeypatch.setattr(psutil, "disk_usage", disk(60 << 20, 64 << 20))
-    finding = machine.check_shared_memory()
-    assert finding.code == "shm.small" and "60 of 64 MiB" in finding.what
-
-
-def test_buffer_that_a_container_hides_is_unknown(monkeypatch):
-    def hidden(path):
-        raise FileNotFoundError
-
-    monkeypatch.setattr(Path, "read_text", hidden)
-    assert machine.check_buffer(1).code == "rmem_max.unknown"
 
 
 def test_domains_are_told_from_well_known_ports():
@@ -206,20 +184,12 @@ def test_what_is_well_is_one_line_a_group_unless_all_is_asked_for_and_the_last_o
     *lines, last = shown(FINDINGS).splitlines()
     assert "ok      disk, memory" in "\n".join(lines) and "is large" not in shown(FINDINGS)
     assert "is large" in shown(FINDINGS, all_of_them=True)
-    assert last == "2 errors, 1 warning; first: camera cam01: below the floor"
-    assert summary([ok("a", ""), note("b", "")]) == "no errors, no warnings (1 check passed)"
+    assert last == "errors: 2, warnings: 1; first: camera cam01: below the floor"
+    assert summary([ok("a", ""), note("b", "")]) == "no errors, no warnings (1 passed)"
     text = "a long way " * 40 + "home"  # not broken in a file, whatever its length
     assert text in shown([warning("way", text, "walk")])
 
 
-@pytest.mark.parametrize(
-    "findings, strict, status",
-    [
-        ([note("a", "")], True, 0),
-        ([warning("a", "", "do")], False, 1),
-        ([warning("a", "", "do")], True, 2),
-        ([error("a", "", "do")], False, 2),
-    ],
-)
-def test_exit_status_of_strict_and_lenient_users(findings, strict, status):
-    assert exit_status(findings, strict) == status
+@pytest.mark.parametrize("kind, status", [(note, 0), (warning, 1), (error, 2)])
+def test_exit_status_is_the_gravest_findings(kind, status):
+    assert exit_status([note("b", "", ""), kind("a", "", "do")]) == status and exit_status([]) == 0

@@ -27,7 +27,6 @@ from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
 from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, ROWS, THESIS, track_people
 from sagoma_tools.evaluation.track import tracks_from_bag
-from sagoma_tools.evaluation.track_evaluation import evaluate_track
 from sagoma_tools.recording.writer import BagWriter
 from stick_figure.skeleton import ANGLE_NAMES
 
@@ -62,7 +61,7 @@ def test_the_ablation_ends_with_our_figures_and_begins_with_the_thesis(tour, cap
     assert figures["ablation"][OURS]["mean_mm"] == figures["mean_mm"]
     assert figures["ablation"][THESIS]["mean_mm"] == figures["thesis_mean_mm"]
     assert "ablation: each row adds one part" in said
-    assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "errors.png", "overlay.png", "worst.png"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "overlay.png", "worst.png"}
 
 
 def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour, capsys, tmp_path, monkeypatch):
@@ -111,9 +110,8 @@ def test_a_bag_of_live_cameras_is_judged_by_what_can_be_said(live, capsys):
     assert figures.pop("states") == {"doubtful": 2, "tracking": 34}
     assert {key: figures.pop(key) for key in DOUBT} == dict.fromkeys(DOUBT)  # there is no truth
     assert figures == {"frames": 40, "tracked": 36, "time_to_track_s": 0.12, "jitter_mm": None}  # nothing rests
-    for option, said in (("--thesis", "Leave out --thesis"), ("--ablation", "one track and no variants")):
-        assert main(["evaluate", str(bag), option]) == 2
-        assert said in capsys.readouterr().err
+    assert main(["evaluate", str(bag), "--ablation"]) == 2
+    assert "one track and no variants" in capsys.readouterr().err
 
 
 def test_a_bag_holds_a_track_of_each_person(live, capsys):
@@ -164,10 +162,6 @@ def test_bag_and_session_evaluate_alike(tour, tmp_path, monkeypatch):
             publish(bag, answer)
     read = tracks_from_bag(tmp_path / "bag", lambda stamp_ns: round((stamp_ns - EPOCH_NS) * 1e-9 * session.fps))[1]
     assert len(answers) == FRAMES and (in_process.parts[6:10, LEFT_ARM] == DOUBTFUL).all()
-    assert np.array_equal(read.frames, in_process.frames) and np.array_equal(read.parts, in_process.parts)
-    figures = [evaluate_track(session, len(answers), one, switches=0).figures() for one in (in_process, read)]
-    assert figures[0]["flagged_of_bad"] is None and figures[0]["identity_switches"] == 0
-    assert figures[0]["false_alarms"] == pytest.approx(4 / len(in_process), abs=1e-4)
-    for key in (*DOUBT, "tracked", "states"):
-        assert figures[1][key] == figures[0][key]
-    assert figures[1]["mean_mm"] == pytest.approx(figures[0]["mean_mm"], abs=1e-3)
+    for name in ("frames", "states", "parts"):
+        assert np.array_equal(getattr(read, name), getattr(in_process, name))
+    np.testing.assert_allclose(read.points_world, in_process.points_world, atol=1e-6)

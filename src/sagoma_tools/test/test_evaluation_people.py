@@ -20,10 +20,10 @@ TRUTHS = truth_of(FIRST), truth_of(SECOND)
 
 def test_each_track_belongs_to_the_truth_that_it_is_nearest_to_in_its_first_second():
     people = score_people({1: track_of(SECOND + 0.01), 2: track_of(FIRST)}, TRUTHS, FPS)
-    assert [person.numbers for person in people.persons] == [(2,), (1,)]
+    assert people.who.numbers == ((2,), (1,))
     assert people.who.switches == (0, 0)
-    assert people.persons[0].scores.mean_mm == pytest.approx(0.0, abs=1e-9)
-    assert people.persons[1].scores.mean_mm == pytest.approx(10.0 * np.sqrt(3.0))
+    assert people.scores[0].mean_mm == pytest.approx(0.0, abs=1e-9)
+    assert people.scores[1].mean_mm == pytest.approx(10.0 * np.sqrt(3.0))
 
 
 def parts_of(*pieces):
@@ -42,16 +42,16 @@ def parts_of(*pieces):
 )
 def test_switches_of_numbers_and_tracks_of_nobody_are_counted(tracks, numbers, switches, ghosts):
     people = score_people(tracks, TRUTHS, FPS)
-    assert [person.numbers for person in people.persons] == numbers
+    assert list(people.who.numbers) == numbers
     assert (people.who.switches, people.who.ghosts, people.who.ghost_frames) == (switches, ghosts, FRAMES * len(ghosts))
-    assert [person.scores is None for person in people.persons] == [not each for each in numbers]
+    assert [scores is None for scores in people.scores] == [not each for each in numbers]
 
 
 def test_what_a_track_calls_lost_is_not_looked_at():
     away = np.concatenate([FIRST[:60], FIRST[60:] + 9.0 * ASIDE_M])
     people = score_people({1: track_of(away, np.repeat(["tracking", "lost"], 60))}, TRUTHS[:1], FPS)
     assert people.who.ghost_frames == 0
-    assert people.persons[0].scores.tracked == 60
+    assert people.scores[0].tracked == 60
 
 
 def test_truth_that_is_nearer_for_a_moment_is_no_switch():
@@ -99,14 +99,6 @@ def test_shares_are_those_of_flags_set_by_hand():
 def test_shares_of_nothing_are_null(error_m, false_alarms):
     figures = score(track_of(off(TEN, np.full((10, 15), error_m))), truth_of(TEN)).figures()
     assert (figures["flagged_of_bad"], figures["false_alarms"]) == (None, false_alarms)
-
-
-def test_frames_without_a_track_or_a_state_of_the_parts_say_nothing():
-    errors, parts = flagged_by_hand()
-    parts[[1, 5]] = ""  # as in the bag of a version that told no parts
-    calls = score(track_of(off(TEN, errors), parts=parts).chosen(np.arange(1, 10)), truth_of(TEN)).calls
-    assert calls.wrong.sum() == 2 and calls.clear.sum() == 4
-    assert (calls.flagged_of_bad, calls.false_alarms) == (0.0, 0.0)
 
 
 def test_a_frame_with_an_unknown_point_is_not_clear_but_may_hold_a_wrong_part():

@@ -130,16 +130,16 @@ def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(tour, tmp_p
     assert f"cam03.avi: ends after {left} frames, its header promises {FRAMES}" in said
     assert f"cam03.avi ended after {left} frames, before the others" in said
     codes = [code for _, code, _ in doctor(capsys, copied)]
-    assert "footage.doubtful" in codes and "footage.lengths_differ" in codes
+    assert codes.count("footage.doubtful") > 1
 
 
-def test_video_damaged_so_that_nobody_is_found_is_named_last(tour, tmp_path, capsys):
+def test_video_damaged_so_that_nobody_is_found_is_named(tour, tmp_path, capsys):
     copied = transcoded(tour, tmp_path / "copied", "MJPG", FPS)
     cut_off(copied / "cam03.avi", 0.15)
     assert main(["evaluate", str(copied), "--json", "--set", "hull_server.backend=cpu"]) == 2
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert re.search(rf"cam03.avi: ends after [1-4] frames, its header promises {FRAMES}.*; no body was found", said)
-    assert said.endswith("Copy it again from where it was recorded; what was cut off cannot be used.")
+    *of_videos, nobody = capsys.readouterr().err.splitlines()
+    said = rf"cam03.avi: ends after [1-4] frames, its header promises {FRAMES}"
+    assert any(re.search(said, line) for line in of_videos) and "no body was found" in nobody
 
 
 def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(tour, tmp_path, capsys):
@@ -147,10 +147,10 @@ def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(tour, tmp_p
     with_late_frames(copied / "cam02.mp4", FRAMES - 4, 4)
     assert main(["evaluate", str(copied), "--json"]) == 2
     assert "different frame rates" in (said := capsys.readouterr().err) and "sagoma doctor --session" in said
-    assert ("error", "footage.rate") in [found[:2] for found in doctor(capsys, copied)]
+    assert ("error", "session.unusable") in [found[:2] for found in doctor(capsys, copied)]
     (copied / "session.yaml").write_text(f"fps: {FPS}\n")
     figures, said = evaluated(capsys, copied)
     assert figures["frames"] == FRAMES
     assert "cam02.mp4: has a variable frame rate: its frames are 50 to 100 ms apart" in said
     found = {code: what for _, code, what in doctor(capsys, copied)}
-    assert "50 to 100 ms" in found["footage.doubtful"] and "footage.rate" not in found
+    assert "50 to 100 ms" in found["footage.doubtful"] and "session.unusable" not in found

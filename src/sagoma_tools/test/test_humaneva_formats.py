@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 from humaneva_files import marker_points, model_points, write_c3d, write_mp
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 from sagoma_tools.importers.formats import Mocap, Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
-from sagoma_tools.importers.humaneva_joints import Instants, Measures, joints, measures, segment
+from sagoma_tools.importers.humaneva_joints import Instants, joints, measures, segment
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
@@ -55,21 +53,14 @@ def test_mp_measures_are_found_by_name(tmp_path):
         read_mp(tmp_path / "S9.mp", ("ShoeSize",))
 
 
-@pytest.mark.parametrize("step", [0.0, 0.05])
-@pytest.mark.parametrize("prefix", ["", "Chris:"])
-def test_c3d_points_are_found_by_label_in_floats_and_in_integers(tmp_path, step, prefix):
-    written = tracks()
-    mocap = read_c3d(write_c3d(tmp_path / "x.c3d", written, step=step, prefix=prefix))
-    assert mocap.rate_hz == 120.0
-    for label, track in written.items():
-        assert np.abs(mocap.track_mm(label) - track).max() < max(step, 1e-3)
-
-
 def test_c3d_in_metres_is_read_as_millimetres_unseen_points_are_unknown_and_missing_ones_are_named(tmp_path):
     written = tracks()
     written["C7"][2] = 0.0
-    path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
+    path = write_c3d(
+        tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, 120.0, "m", "Chris:"
+    )
     mocap = read_c3d(path)
+    assert mocap.rate_hz == 120.0
     assert mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
     assert np.isnan(mocap.track_mm("C7")[2]).all()
     assert mocap.track_mm("NONE", "C7") is not None  # either of two names
@@ -95,8 +86,6 @@ def test_damaged_c3d_is_refused_by_name(tmp_path):
 
 # --- The common clock of cameras and motion capture, from their offsets alone.
 
-IMAGE, MOCAP = st.floats(1, 400), st.floats(-200, 800)
-
 
 @pytest.mark.parametrize(
     ("offsets", "first_image", "mocap"),
@@ -114,20 +103,9 @@ def test_common_frame_one_is_where_the_last_begins(offsets, first_image, mocap):
     assert time.image("C1", 6) == first_image["C1"] + 5
 
 
-@given(st.lists(st.tuples(IMAGE, MOCAP), min_size=1, max_size=7), st.floats(1.99, 2.01), st.integers(1, 1000))
-def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, frame):
-    offsets = {f"C{k}": Offset(image, mocap, rate) for k, (image, mocap) in enumerate(pairs)}
-    time = common_time(offsets)
-    instant = float(time.mocap(np.array([frame]))[0])
-    assert time.first_mocap >= 1.0 - 1e-9 and min(time.first_image.values()) >= 1
-    for name, offset in offsets.items():
-        taken_at = offset.mocap + (time.image(name, frame) - offset.image) * rate  # what the .ofs file says
-        assert abs(taken_at - instant) <= 0.5 * rate + 1e-6
-
-
 # --- joints
 
-SIZES = Measures(170.0, {"L": 46.0, "R": 52.0})
+SIZES = 170.0, {"L": 46.0, "R": 52.0}
 GRID_HZ = 600
 
 
@@ -154,7 +132,7 @@ def test_torso_leans_back_and_upper_arms_turn_back(person):
         placed |= {f"{segment_name}{end}": origin + arm * np.eye(3)[k] for k, end in enumerate("ALP")}
     for label, at in placed.items():
         mocap.points_mm[0, mocap.column[label]] = np.array([1000.0, 0.0, 0.0]) + at  # a body that faces +x; mm
-    found = joints(mocap, np.array([1.0]), Measures(160.0, {"L": 60.0, "R": 60.0})).points_mm
+    found, _ = joints(mocap, np.array([1.0]), 160.0, {"L": 60.0, "R": 60.0})
     # the torso, 400 long, leans back by atan(80 / 400) from 50 behind the pelvis; the neck is half way to the thorax
     lean = np.arctan2(80.0, 400.0)
     assert found["Pelvis"][0] == pytest.approx([950, 0, 0])
@@ -187,8 +165,8 @@ def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
     mocap = mocap_of(points, R_torso)
     mocap.points_mm[9, mocap.column[label]] = np.nan  # mocap frame 10
     positions = np.array([8.0, 9.0, 9.01, 9.5, 10.0, 10.99, 11.0, 12.0])
-    found = joints(mocap, positions, SIZES)
-    assert found.valid.tolist() == [True, True, False, False, False, False, True, True]
+    _, valid = joints(mocap, positions, *SIZES)
+    assert valid.tolist() == [True, True, False, False, False, False, True, True]
 
 
 def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_invalid(person):
@@ -197,10 +175,10 @@ def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_inv
     column = mocap.column
     mocap.points_mm[4, column["PELA"]] = mocap.points_mm[4, column["PELL"]]  # two axes in one
     mocap.points_mm[6, [column["LFEA"], column["LFEL"]]] = mocap.points_mm[6, [column["LFEL"], column["LFEA"]]]
-    found = joints(mocap, np.arange(1.0, 9.0), SIZES)
-    assert found.valid.tolist() == [True] * 4 + [False, True, False, True]
-    beyond = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 25.0, 25.2, 60.0]), SIZES)
-    assert beyond.valid.tolist() == [False, True, True, False, False]
+    _, valid = joints(mocap, np.arange(1.0, 9.0), *SIZES)
+    assert valid.tolist() == [True] * 4 + [False, True, False, True]
+    _, valid = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 25.0, 25.2, 60.0]), *SIZES)
+    assert valid.tolist() == [False, True, True, False, False]
 
 
 def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_path):
@@ -208,8 +186,7 @@ def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_pat
     still["RSHO"][1] = 0.0
     mp = write_mp(tmp_path / "S2.mp")
     found = measures(read_c3d(write_c3d(tmp_path / "Static.c3d", still)), mp)
-    assert found.chest_radius_mm == pytest.approx(360 / 2 - 7)
-    assert found.shoulder_offset_mm == {"L": 46.0, "R": 52.0}
+    assert found == (pytest.approx(360 / 2 - 7), {"L": 46.0, "R": 52.0})
     still["RSHO"][:] = 0.0
     with pytest.raises(InputError, match=r"Static\.c3d: both shoulder markers"):
         measures(read_c3d(write_c3d(tmp_path / "Static.c3d", still)), mp)

@@ -27,7 +27,7 @@ RING4 = Path(__file__).resolve().parents[3] / "config" / "rig" / "ring4.yaml"
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
     namespace = f"/{name}" if role is Role.CAMERA else "/"
     node = "camera_client" if role is Role.CAMERA else name
-    return NodeSpec("none", "none", "tiny_lifecycle_node", node, namespace, role, {"behaviour": behaviour})
+    return NodeSpec("tiny_lifecycle_node", node, namespace, role, {"behaviour": behaviour})
 
 
 def camera(name: str, behaviour: str = "good") -> NodeSpec:

@@ -9,16 +9,14 @@ import argparse
 import contextlib
 import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from camera_client.background.model import BackgroundModel, load_background, shape_text
@@ -34,7 +32,7 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import Video
 
 from ..arguments import NODES
-from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, plain_table, until_stopped
+from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, until_stopped
 from ..graph import START_TIMEOUT_S
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
@@ -61,13 +59,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--countdown", type=number("s", 0, 3600, whole=True), default=COUNTDOWN_S, metavar="S", help=help_countdown)
     option("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
     option("--repeat", action="store_true", help="only those without a background, or whose background is no good")
-    option(
-        "--retries",
-        type=number("times", 0, 100, whole=True),
-        default=1,
-        metavar="N",
-        help="retry failed cameras so often (default: 1)",
-    )
     option("--expect", type=NODES, default=1, metavar="N", help="wait until so many camera clients are found")
     option("--wait", type=SECONDS, default=5.0, metavar="S", help="... but no longer than this")
     option("--timeout", type=SECONDS, default=START_TIMEOUT_S, metavar="S", help="for a camera's frames to come")
@@ -98,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             return 0
         warn_of_idle(console, diagnostics, names)
         outcomes = train(console, link, diagnostics, names, stop, args)
-    console.print(training_table(outcomes))
+    print_outcomes(console, outcomes)
     if args.json:
         print(json.dumps(figures(outcomes)))
     return INTERRUPTED if stop.is_set() else exit_status(outcomes)
@@ -107,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
 def run_from_footage(console: Console, sources: Sequence[str]) -> int:
     """Write VIDEO_background.npz beside every video, and say where it is uncertain; 1 where much of one is."""
     worst = 0
-    for video in _videos(sources):
+    named = (load_session(path).videos.values() if path.is_dir() else [path] for path in map(Path, sources))
+    for video in (video for of_source in named for video in of_source):
         model, uncertain = background_of_footage(sampled_frames(video), str(video))
         path = video.with_name(f"{video.stem}_background.npz")
         model.save(path)
@@ -119,17 +111,6 @@ def run_from_footage(console: Console, sources: Sequence[str]) -> int:
             console.print(text)
         worst = max(worst, int(share > MUCH_UNCERTAIN))
     return worst
-
-
-def _videos(sources: Sequence[str]) -> list[Path]:
-    """Return the videos that are named, and those of the cameras of the sessions that are. InputError for neither."""
-    found: list[Path] = []
-    for source in map(Path, sources):
-        if source.is_dir():
-            found += [video for _, video in sorted(load_session(source).videos.items())]
-        else:
-            found.append(source)
-    return found
 
 
 def sampled_frames(video: Path) -> list[np.ndarray]:
@@ -152,39 +133,27 @@ def train(
     stop: threading.Event,
     args: argparse.Namespace,
 ) -> list[TrainingOutcome]:
-    """Count down and train the clients ``names``, again those that failed; return the last outcome of each."""
+    """Count down and train the clients ``names``; return the outcome of each."""
 
-    def wanted(names: Sequence[str], show: Callable[[str], None]) -> bool:
+    def wanted() -> bool:
         show("   ".join(f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names))
         return not stop.is_set()
 
-    outcomes = {name: TrainingOutcome(label_of(name), "cancelled") for name in names}
-    pending, prompt = list(names), "leave the room"
-    for attempt in range(1 + args.retries):
-        if not count_down(console, prompt, args.countdown, stop):
-            break
-        console.print(f"learning: {', '.join(map(label_of, pending))}")
-        trained = train_backgrounds(
-            link.node, diagnostics, pending, args.timeout, partial(wanted, pending, doing("frames"))
-        )
-        until_stopped()
-        outcomes |= dict(zip(pending, trained, strict=True))
-        # where no training took place, an empty room would not help
-        pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
-        if not pending:
-            break
-        prompt = f"leave the room for {', '.join(map(label_of, pending))}"
-        if attempt < args.retries:
-            console.print(training_table([outcomes[name] for name in pending]))
+    if not count_down(console, args.countdown, stop):
+        return [TrainingOutcome(label_of(name), "cancelled") for name in names]
+    console.print(f"learning: {', '.join(map(label_of, names))}")
+    show = doing("frames")
+    outcomes = train_backgrounds(link.node, diagnostics, names, args.timeout, wanted)
+    until_stopped()
     console.bell()
-    return list(outcomes.values())
+    return outcomes
 
 
-def count_down(console: Console, prompt: str, seconds: int, stop: threading.Event) -> bool:
-    """Show "PROMPT: 10 s" and so on down to 1, then beep; False when ``stop`` was set meanwhile."""
-    show = doing(prompt)
+def count_down(console: Console, seconds: int, stop: threading.Event) -> bool:
+    """Ask to leave the room, show the seconds down to 1, then beep; False when ``stop`` was set meanwhile."""
+    show = doing("leave the room")
     if seconds and not console.is_terminal:
-        console.print(f"{prompt}: {seconds} s")
+        console.print(f"leave the room: {seconds} s")
     for left in range(seconds, 0, -1):
         show(f"{left} s")
         if stop.wait(1.0):
@@ -229,33 +198,19 @@ def figures(outcomes: Sequence[TrainingOutcome]) -> dict[str, Any]:
     return {one.camera: {"said": one.message, **reports[one.camera], "grade": one.grade} for one in outcomes}
 
 
-def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
-    """Return one line a camera, and one more for each further finding."""
-    table = plain_table("", ("camera", "verdict"), ("frames", "noise", "moved %"), ("why", "what to do"))
+def print_outcomes(console: Console, outcomes: Sequence[TrainingOutcome]) -> None:
+    """Print each camera's verdict, figures, and findings with remedies."""
     for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
-        first, *others = _reasons(outcome)
-        table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *_columns(outcome), *first)
-        for other in others:
-            table.add_row("", "", "", "", "", *other)
-    return table
-
-
-def _columns(outcome: TrainingOutcome) -> tuple[str, str, str]:
-    report = outcome.report
-    if report is None or not report.frames:
-        return "", "", ""
-    return str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}"
-
-
-def _reasons(outcome: TrainingOutcome) -> list[tuple[str, str]]:
-    """Findings and their remedies, at least one pair."""
-    report = outcome.report
-    if report is None or (report.grade == REDO and not report.findings):
-        return [(outcome.message, "see that its frames come (sagoma up, sagoma doctor), and run it again")]
-    found = [(finding.what, finding.remedy) for finding in report.findings]
-    if report.grade != REDO and not report.saved:
-        found.append(("in use, but not saved", "set background_file in the camera's parameter file"))
-    return found or [("", "")]
+        report, redo = outcome.report, outcome.grade == REDO
+        console.print(Text(f"{outcome.camera}: {outcome.grade}", GRADE_STYLE[outcome.grade]))
+        if report is None or (redo and not report.findings):
+            console.print(f"  {outcome.message}: see that its frames come (sagoma up, sagoma doctor), and run it again")
+            continue
+        console.print(f"  {report.frames} frames, noise {report.noise:.2f}, moved {100 * report.moved:.2f} %")
+        for finding in report.findings:
+            console.print(f"  {finding.line}")
+        if not (redo or report.saved):
+            console.print("  in use, but not saved: set background_file in the camera's parameter file")
 
 
 def run_show(args: argparse.Namespace) -> int:
@@ -263,24 +218,14 @@ def run_show(args: argparse.Namespace) -> int:
     console, before = command_console(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)
-        console.print(provenance_table(model, str(file)))
+        shown = {**asdict(model.provenance), "image": shape_text(model.shape), "moved": f"{model.moving_share:.2%}"}
+        console.print(f"{file}: {', '.join(f'{key} {value}' for key, value in shown.items() if value != '')}")
         for finding in judge_background(model, (), before).findings + turn_findings(model.provenance):
             console.print(Text(f"{finding.grade}: {finding.line}", GRADE_STYLE[finding.grade]))
         folder = Path(args.output) if args.output else file.parent
         mean, sigma = write_pictures(model, folder, file.stem)
         console.print(f"pictures: {mean}, {sigma} (brightest: {BRIGHTEST_SIGMA:g} grey levels of noise or more)")
     return 0
-
-
-def provenance_table(model: BackgroundModel, title: str) -> Table:
-    """Return the provenance of a saved background, its image size, and the share of pixels that moved."""
-    table = Table("", "", title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
-    for key, value in asdict(model.provenance).items():
-        if value != "":
-            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
-    table.add_row("image", shape_text(model.shape))
-    table.add_row("moved", f"{100 * model.moving_share:.2f} % of the pixels")
-    return table
 
 
 def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path]:

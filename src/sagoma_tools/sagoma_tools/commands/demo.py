@@ -26,9 +26,9 @@ from ..arguments import add_settings_argument, add_start_argument, next_steps, p
 from ..console import INTERRUPTED, command_console, doing
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
-from ..evaluation.reasons import explain
+from ..evaluation.reasons import REMEDY, explain
 from ..evaluation.scores import Scores
-from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
+from ..evaluation.tables import print_ages, print_nodes, print_scores
 from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 
@@ -133,7 +133,7 @@ def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
     wrong.
     """
     if any(reasons):
-        return ". ".join(explain(reasons))
+        return f"{explain(reasons)}. {REMEDY}"
     if rate == 0.0:  # nothing is dropped, however busy the machine
         return "look into the logs of the nodes"
     busy = busy_machine() or "look into the logs of the nodes"
@@ -142,8 +142,7 @@ def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     """Print everything that the run measured."""
-    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics, in_real_time=bool(live.ages_ms))
-    print_latency(console, live.latency_ms)
+    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics)
     if live.ages_ms:
         print_ages(console, live.ages_ms, live.hz_held)
     console.print(

@@ -14,7 +14,7 @@ from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console, doing, until_stopped
 from ..doctor.cameras import examine_camera
-from ..doctor.findings import Finding, exit_status, show, summary
+from ..doctor.findings import Finding, about, exit_status, show, summary
 from ..doctor.graph import examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description=DESCRIPTION,
     )
     option = parser.add_argument
-    help_camera = "'camera PARAMS.yaml': that file, its camera, and what they need of this machine"
+    help_camera = "'camera PARAMS.yaml' is --camera PARAMS.yaml"
     option("what", nargs="?", choices=["camera"], help=help_camera)
     option("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
     help_camera = "a camera's parameter file (any number of times)"
@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
     help_regions = "write the rig file of the parts of the pictures that the volume needs, which the report lists"
     option("--regions", metavar="FILE.yaml", type=Path, help=help_regions)
-    help_lenses = "the cameras' own calibrations (default: where the rig's report says, or beside it)"
+    help_lenses = "the cameras' own calibrations (default: beside the rig file)"
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
     option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
@@ -58,11 +58,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C",
     )
-    help_bags = "where bags are written (default: %(default)s)"
-    option("--bags", metavar="FOLDER", type=Path, default=Path("output"), help=help_bags)
     option("--no-machine", action="store_true", help="leave this machine out")
     option("--all", action="store_true", help="also print what is well in words")
-    option("--strict", action="store_true", help="warnings fail as errors do (exit status 2)")
     option("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run)
 
@@ -80,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     doing("examining")
     findings = list(examined(args))
     until_stopped()
-    status = exit_status(findings, args.strict)
+    status = exit_status(findings)
     if args.json:
         listed = [finding.as_dict() for finding in findings]
         print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))
@@ -100,14 +97,12 @@ def answer() -> int:
 
 def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
-    if args.what == "camera":
-        yield from examine_camera(args.parameters, args.open)
-    elif not args.no_machine:
-        yield from examine_machine(args.bags)
-    for path in args.camera:
-        yield from examine_camera(path, args.open, host_too=False)
+    if not args.no_machine:
+        yield from examine_machine()
+    for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
+        yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
     if args.session is not None or args.rig is not None:
-        yield from examine_rig(args.rig, args.session, args.intrinsics)
+        yield from about("rig", examine_rig(args.rig, args.session, args.intrinsics))
     if args.live:
-        yield from examine_graph(args.seconds, args.rig, namespace=namespace_argument(args))
+        yield from about("graph", examine_graph(args.seconds, args.rig, namespace=namespace_argument(args)))

@@ -7,20 +7,17 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
-from capture_rig.verdict import REDO
 from capture_rig.video import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
-from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.session_footage import load_detections
 from sagoma_bringup.launch_arguments import start_settings
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
 from ..console import command_console, doing
-from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
+from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, track_people
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
 from ..evaluation.track import Track, clock_of_bag, is_bag, session_of_bag, tracks_from_bag
@@ -42,7 +39,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--keypoints", metavar="FOLDER", help=help_keypoints)
     help_ablation = "also one row a part of the tracker, from the thesis's method to ours"
     option("--ablation", action="store_true", help=help_ablation)
-    option("--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage")
     add_start_argument(parser)
     option("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
     option("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
@@ -98,20 +94,13 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
 
 
 def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, dict[int, Track]], int]:
-    """Return everybody's tracks in a bag that was recorded on the session, by the thesis's method, too, where that is
-    wanted, and frames."""
+    """Return everybody's tracks in a bag that was recorded on the session, and frames."""
     if args.ablation:
         remedy = f"Run sagoma evaluate {session.folder} --ablation."
         raise InputError("a bag holds one track and no variants of it", where="--ablation", remedy=remedy)
     clock = clock_of_bag(bag, session)
     of_bag = tracks_from_bag(bag, clock.frame_of)
-    tracks = {OURS: {person: track.between(0, clock.frames) for person, track in of_bag.items()}}
-    if args.thesis and not session.videos:
-        raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")
-    if args.thesis:
-        variants = {THESIS: thesis_configuration(_settings(args, session))}
-        tracks |= track_people(session, variants, exact_masks=args.exact_masks)
-    return tracks, clock.frames
+    return {OURS: {person: track.between(0, clock.frames) for person, track in of_bag.items()}}, clock.frames
 
 
 def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[int, Track]], int]:
@@ -119,31 +108,23 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
     if args.ablation and session.truth is None:
         remedy = "Leave out --ablation, or give a session with a truth."
         raise InputError("has no truth.csv or reference*.csv to compare with", where=args.session, remedy=remedy)
-    settings = _settings(args, session)
-    variants = ablation_rows(settings)
-    if not args.ablation:
-        variants = {OURS: Configuration.of(settings)}
-        variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
-    ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
+    rows = ablation_rows({**start_settings(session, args.start), **parse_settings(args.settings)})
+    names = ROWS if args.ablation else (THESIS, OURS) if session.truth is not None else (OURS,)
     detections = load_detections(args.keypoints, session.rig) if args.keypoints else {}
     came: dict[str, VideoFacts] = {}
     try:
         tracks = track_people(
             session,
-            ours_first,
+            {name: rows[name] for name in reversed(names)},  # ours first
             exact_masks=args.exact_masks,
             progress=doing("tracking frames"),
             ended=came.update,
             detections=detections,
             warned=lambda text: print(f"sagoma: {text}", file=sys.stderr),
         )
-    except InputError as nobody:
-        damaged = [finding for finding in ended_findings(came) if finding.grade == REDO] if came else []
-        if not damaged:
-            raise
-        raise InputError(f"{damaged[0].what}; {nobody.what}", remedy=damaged[0].remedy) from None
-    for finding in ended_findings(came):
-        print(f"sagoma: {finding}", file=sys.stderr)
+    finally:
+        for finding in ended_findings(came) if came else ():
+            print(f"sagoma: {finding}", file=sys.stderr)
     return tracks, min(facts.passed.frames for facts in came.values())
 
 
@@ -152,7 +133,3 @@ def people_scores(session: Session, tracks: Mapping[int, Track]) -> PeopleScores
     if len(session.truths) < 2:
         return None
     return score_people(tracks, session.truths, session.fps, RigVisibility(session.rig))
-
-
-def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:
-    return {**start_settings(session, args.start), **parse_settings(args.settings)}

@@ -61,7 +61,7 @@ def add_biocv(kinds: argparse._SubParsersAction) -> None:
     parser = kinds.add_parser("biocv", help="a trial of BioCV (Evans et al. 2024): nine cameras, markers in C3D")
     parser.add_argument("trial", type=Path, help="folder of one trial: videos and markers.c3d")
     parser.add_argument("output", type=Path, help="the session folder to write")
-    help_calibration = "folder of the cameras' calibration files (default: beside the videos, or above them)"
+    help_calibration = "folder of the cameras' calibration files (default: the participant's)"
     parser.add_argument("--calibration", type=Path, metavar="FOLDER", help=help_calibration)
     help_markers = "of which markers each point is the middle, POINT: [MARKER, ...]"
     parser.add_argument("--markers", type=Path, metavar="YAML", help=help_markers)
@@ -72,34 +72,20 @@ def add_biocv(kinds: argparse._SubParsersAction) -> None:
 
 def import_biocv(args: argparse.Namespace) -> int:
     """Import the trial, then print what was written and what to do next."""
-    console = command_console()
-    summary = biocv.import_trial(args.trial, args.output, args.calibration, args.markers, args.mocap_delay)
-    console.print(f"{args.trial.name}: {summary.frames} frames of {', '.join(summary.cameras)}")
-    for point, markers in summary.markers.items():
-        console.print(f"{point}: {', '.join(markers)}")
-    share = summary.frames_with_truth / summary.frames
-    console.print(f"all markers are there in {summary.frames_with_truth} frames ({share:.0%})")
-    console.print(f"next: sagoma background --from-footage {args.output}")
-    console.print(f"then: sagoma evaluate {args.output} --start session --json")
-    return 0
+    said = biocv.import_trial(args.trial, args.output, args.calibration, args.markers, args.mocap_delay)
+    return say(*said, f"next: sagoma background --from-footage {args.output}", evaluate(args, "--start session --json"))
 
 
 def import_bag(args: argparse.Namespace) -> int:
     """Import the images, then print what was written and what to do next."""
-    console, topics = command_console(), dict(one.partition("=")[::2] for one in args.camera)
-    summary = image_bag.import_bag(args.bag, args.output, args.rig, topics, args.background, doing(COPYING))
-    for name, topic in summary.topics.items():
-        console.print(f"{name}: {topic}")
-    apart = f"images of a frame up to {1e3 * summary.spread_s:.1f} ms apart"
-    left_out = f", {summary.incomplete} left out without an image of every camera" if summary.incomplete else ""
-    console.print(f"{summary.frames} frames at {summary.fps:.4g} Hz, {apart}{left_out}")
+    topics = dict(one.partition("=")[::2] for one in args.camera)
+    said = image_bag.import_bag(args.bag, args.output, args.rig, topics, args.background, doing(COPYING))
     if args.rig is None:
         lenses = f"--intrinsics {args.output / image_bag.LENSES}"
-        console.print(f"next: sagoma calibrate extrinsics {lenses} --output {args.output}/rig.yaml ...")
+        said.append(f"next: sagoma calibrate extrinsics {lenses} --output {args.output}/rig.yaml ...")
     elif args.background is None:
-        console.print(f"next: sagoma background --from-footage {args.output}")
-    console.print(f"then: sagoma evaluate {args.output}")
-    return 0
+        said.append(f"next: sagoma background --from-footage {args.output}")
+    return say(*said, evaluate(args))
 
 
 def import_humaneva(args: argparse.Namespace) -> int:
@@ -107,15 +93,18 @@ def import_humaneva(args: argparse.Namespace) -> int:
     trial = Trial(args.root, args.subject, args.action, args.trial)
     frames = None if args.frames is None else (args.frames[0], args.frames[1])
     count = frames and frames[1] - frames[0] + 1
-    cameras, with_truth, console = tuple(dict.fromkeys(args.cameras)), not args.no_truth, command_console()
-    summary = import_trial(trial, args.output, cameras, frames, with_truth, doing(COPYING, count))
-    console.print(f"{trial}: {summary.frames} frames of {', '.join(cameras)}")
-    for camera, room in summary.empty_rooms.items():
-        console.print(f"empty room of {camera}: {room}")
-    if with_truth:
-        share = summary.frames_with_truth / summary.frames
-        console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
-        console.print(f"next: sagoma evaluate {args.output} --start session")
-    else:
-        console.print(f"next: sagoma up {args.output}")
+    cameras = tuple(dict.fromkeys(args.cameras))
+    said = import_trial(trial, args.output, cameras, frames, not args.no_truth, doing(COPYING, count))
+    return say(*said, f"then: sagoma up {args.output}" if args.no_truth else evaluate(args, "--start session"))
+
+
+def evaluate(args: argparse.Namespace, options: str = "") -> str:
+    """Say how the session is evaluated."""
+    return f"then: sagoma evaluate {args.output} {options}".rstrip()
+
+
+def say(*lines: str) -> int:
+    """Print lines; returns the exit status."""
+    for line in lines:
+        command_console().print(line)
     return 0

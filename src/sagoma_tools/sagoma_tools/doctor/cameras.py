@@ -10,7 +10,7 @@ import ipaddress
 import socket
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from camera_client.background.model import BackgroundModel, load_background, read_background
@@ -39,7 +39,7 @@ from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.middleware import resolve_packages
 
 from .findings import Finding, about, error, graded, note, ok, warning
-from .machine import Interface, check_buffer, examine_node_host, interface_to
+from .machine import Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
@@ -64,31 +64,24 @@ class CameraFile:
         return None if isinstance(self.calibration, InputError) else self.calibration.camera
 
 
-def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iterator[Finding]:
-    """Findings on the parameter file at ``path``, the camera it names, and (``host_too``) this machine.
+def examine_camera(path: Path, open_it: bool = False) -> Iterator[Finding]:
+    """Findings on the parameter file at ``path``, and the camera it names.
 
     open_it : take control of the camera, set it up as the client would, and report what it says.
     """
-    try:
-        file = read_file(path)
-    except InputError as problem:
-        invalid = error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)
-        yield replace(invalid, subject=f"camera file {path}")
-        return
+    file = read_file(path)
     subject, settings = f"camera {file.name}", file.settings.aravis
     yield from about(subject, check_calibration(file), check_background(file))
     if file.settings.source == "aravis":
         yield from about(subject, check_timing(settings), check_buffer(settings.socket_buffer_bytes))
         if settings.address:
             link = interface_to(settings.address)
-            yield from about(subject, check_interface(settings, link), check_identity(settings, link))
+            yield from about(subject, check_interface(settings, link), check_identity(settings))
             yield from about(subject, check_control(settings, link))
             if link is not None:
                 yield from about(subject, check_bandwidth(sent_beside(file, link), link))
         if open_it:
             yield from about(subject, check_opened(file))
-    if host_too:
-        yield from examine_node_host()
 
 
 def read_file(path: Path) -> CameraFile:
@@ -105,60 +98,48 @@ def read_file(path: Path) -> CameraFile:
 
 def check_calibration(file: CameraFile) -> Iterator[Finding]:
     """Whether the camera's lens and pose are known."""
-    settings, camera_info = file.settings, file.settings.camera_info_file
+    settings = file.settings
     yield ok("file", f"{file.path} describes camera {file.name}")
-    if settings.camera_name not in ("", file.name):
-        text = f"its key names {file.name}, camera_name says '{settings.camera_name}'"
-        yield warning("file.names_differ", text, "Give both the same name.")
     calibration, camera = file.calibration, file.camera
     if isinstance(calibration, InputError):
-        yield error("rig.invalid", f"{calibration.where}: {calibration.what}", calibration.remedy)
-        return
+        raise calibration
     if camera is None:
         remedy = f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD"
         yield note("rig.uncalibrated", "not calibrated yet: it sends images, no silhouettes", remedy)
         return
-    text = f"{settings.rig_file or camera_info}: {camera.name}, {camera.width} x {camera.height} pixels"
+    text = f"{settings.rig_file or settings.camera_info_file}: {camera.name}, {camera.width} x {camera.height} pixels"
     remedy = "sagoma calibrate extrinsics, then name the rig file in rig_file."
     yield graded("rig", text, (not calibration.placed, note, "lens_only", f"Its place is not known: {remedy}"))
-    if camera_info and not Path(camera_info).exists():
-        remedy = "Calibrate the camera: set_camera_info writes it."
-        yield note("camera_info.missing", f"{camera_info} does not exist yet: the rig's intrinsics are in use", remedy)
 
 
-def check_background(file: CameraFile) -> Finding | None:
+def check_background(file: CameraFile) -> Iterator[Finding]:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings, camera = file.settings, file.camera
     path = settings.background or (settings.background_file if Path(settings.background_file).is_file() else "")
     if camera is None:  # another check says so
-        return None
+        return
     if not path:
-        return note("background.none_named", "none is named: no silhouettes until one is learned", learn)
-    try:
-        shape, model = _read_background(path, settings)
-        age_s = time.time() - Path(path).stat().st_mtime
-    except (InputError, OSError) as problem:
-        return error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
+        yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
+        return
+    shape, model = _read_background(path, settings)
+    age_s = time.time() - Path(path).stat().st_mtime
     size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
     given = of_shape(camera, shape) if len(shape) == 3 else camera  # of a mosaic's tiles
     if shape[:2] != (given.height, given.width):
-        return error("background.size_differs", size, learn)
+        yield error("background.size_differs", size, learn)
+        return
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
-    return graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
+    yield graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
 
 
 def check_timing(settings: AravisSettings) -> Iterator[Finding]:
-    """Whether the exposure fits the frame rate, which settings are left to the camera, and whether it can be asked."""
+    """Whether the exposure fits the frame rate, and whether the camera can be asked."""
     exposure_us, rate = settings.exposure_us, settings.frame_rate
     if exposure_us > 0 and rate > 0:
         text = f"{exposure_us:g} us at {rate:g} frames a second (at most {1e6 / rate:.0f} us)"
         remedy = "Shorten aravis.exposure_us or lower aravis.frame_rate."
         yield graded("exposure", text, (exposure_us * 1e-6 * rate >= 1, error, "longer_than_frame", remedy))
-    for key in ("exposure_us", "gain", "frame_rate"):
-        if getattr(settings, key) < 0:
-            remedy = "Set it: cameras lose their settings when they lose power."
-            yield note("settings.left_to_camera", f"aravis.{key} is left as the camera has it", remedy)
     if not settings.address:
         text = "found by broadcast when the client starts; not asked here"
         yield note("camera.no_address", text, "Give aravis.address to have it examined.")
@@ -182,8 +163,8 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
         yield warning("mtu.no_jumbo_frames", text, jumbo)
 
 
-def check_identity(settings: AravisSettings, link: Interface | None) -> Iterator[Finding]:
-    """Whether the camera answers, is the configured one, and is in this machine's subnet."""
+def check_identity(settings: AravisSettings) -> Iterator[Finding]:
+    """Whether the camera answers, and is the configured one."""
     try:
         record = discover_at(settings.address).device
     except InputError as problem:
@@ -194,12 +175,6 @@ def check_identity(settings: AravisSettings, link: Interface | None) -> Iterator
         if wanted and wanted != got:
             text = f"the camera at {settings.address} has {key} '{got}', aravis.{key} asks for '{wanted}'"
             yield error(f"{key}.differs", text, f"Correct aravis.address or aravis.{key}.")
-    if link is not None and record.address:
-        ours = ipaddress.IPv4Interface(f"{link.address}/{link.netmask}")
-        theirs = ipaddress.IPv4Interface(f"{record.address}/{record.subnet_mask}")
-        if theirs.ip not in ours.network or ours.ip not in theirs.network:
-            text = f"the camera is in {theirs.network}, {link.name} in {ours.network}: images come through a router"
-            yield warning("subnet.differs", text, "Put both into one subnet (the maker's IP tool, or DHCP).")
 
 
 def check_control(settings: AravisSettings, link: Interface | None) -> Finding | None:
@@ -220,7 +195,7 @@ def check_control(settings: AravisSettings, link: Interface | None) -> Finding |
 
 def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | None:
     """Whether what all cameras on this interface send, bytes a second, fits its link."""
-    if not sent or not all(sent.values()):  # check_timing names these
+    if not sent or not all(sent.values()):  # some rate is left to its camera
         return None
     needed = sum(sent.values())
     text = f"{needed / 1e6:.0f} MB/s of {f'{len(sent)} cameras' if len(sent) > 1 else next(iter(sent))}"
@@ -228,22 +203,19 @@ def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | Non
         return ok("bandwidth", f"{text}; the speed of {link.name} is unknown")
     share = needed / (link.speed_mbit * 1e6 / 8)
     text = f"{text} take {100 * share:.0f} % of the {link.speed_mbit} Mbit/s of {link.name}"
-    remedy = "Lower frame rate, region or bit depth, or give some cameras another interface."
-    space = f"{remedy} Space packets out with aravis.packet_delay_ns."
-    return graded("bandwidth", text, (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", space))
+    remedy = "Lower frame rate, region or bit depth, give some cameras another interface, or space packets out with "
+    remedy += "aravis.packet_delay_ns."
+    full, busy = (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", remedy)
+    return graded("bandwidth", text, full, busy)
 
 
 def check_opened(file: CameraFile) -> Iterator[Finding]:
     """What the camera says once its client's settings are made: features, PTP, temperature."""
-    source = AravisSource(file.settings.aravis, file.settings.channels)
-    try:
-        with source:
-            for text in source.warnings:
-                yield warning("opened.warning", text, "See docs/camera_pcs.md.")
-            details = ", ".join(f"{key} {value}" for key, value in source.details.items())
-            yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
-    except InputError as problem:
-        yield error("opened.failed", f"{problem.where}: {problem.what}", problem.remedy)
+    with AravisSource(file.settings.aravis, file.settings.channels) as source:
+        for text in source.warnings:
+            yield warning("opened.warning", text, "See docs/camera_pcs.md.")
+        details = ", ".join(f"{key} {value}" for key, value in source.details.items())
+        yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
 
 
 def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[int, ...], BackgroundModel]:
@@ -264,25 +236,21 @@ def footage_shape(path: str | Path) -> tuple[int, ...]:
 def sent_beside(file: CameraFile, link: Interface) -> dict[str, float]:
     """Return what the cameras of the file's folder send through this interface, bytes a second, as far as their size is
     known, this camera first; 0 where the settings leave the rate open."""
-    found = [file]
+    found = {file.name: file}
     for path in sorted(file.path.parent.glob("*.yaml")):
-        try:
+        with contextlib.suppress(InputError):  # examined when it is that file's turn
             other = read_file(path)
-        except InputError:  # examined when it is that file's turn
-            continue
-        address = other.settings.aravis.address if other.settings.source == "aravis" else ""
-        theirs = interface_to(address) if address and other.name != file.name else None
-        if theirs is not None and theirs.name == link.name:
-            found.append(other)
+            found.setdefault(other.name, other)
     sent = {}
-    for each in found:
+    for name, each in found.items():
         settings, camera = each.settings.aravis, each.camera
-        if camera is not None:
+        theirs = interface_to(settings.address) if each.settings.source == "aravis" and settings.address else None
+        if camera is not None and theirs is not None and theirs.name == link.name:
             wanted = settings.pixel_format  # "auto" prefers formats of 8 bits a pixel
             pixel_format = PixelFormat[wanted] if wanted in PixelFormat.__members__ else PixelFormat.Mono8
             payload = pixel_format.image_bytes(camera.width, camera.height)
             packet = settings.packet_size or min(link.mtu, JUMBO_MTU)
-            sent[each.name] = max(settings.frame_rate, 0.0) * wire_bytes(payload, packet)
+            sent[name] = max(settings.frame_rate, 0.0) * wire_bytes(payload, packet)
     return sent
 
 

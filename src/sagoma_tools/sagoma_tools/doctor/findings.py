@@ -7,13 +7,15 @@ A finding's code, "ABOUT.CONDITION" ("mtu.too_large", "clock.off"), is stable: s
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from functools import partial
 
 from rich.console import Console
 from rich.text import Text
+
+from capture_rig.errors import InputError
 
 
 class Severity(IntEnum):
@@ -65,37 +67,35 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
     return ok(about, what)
 
 
-Found = Finding | Iterable[Finding] | None
+Found = Finding | Iterator[Finding] | None
 
 
 def about(subject: str, *checks: Found) -> Iterator[Finding]:
-    """Yield what checks of a subject found, each under its name."""
+    """Yield what checks of a subject found, each under its name unless it has one; what a check cannot read or open is
+    an error, by the check's name: "footage.unusable" of ``check_footage``."""
     for found in checks:
-        for finding in [found] if isinstance(found, Finding) else found or ():
-            yield replace(finding, subject=subject)
+        try:
+            for finding in [found] if isinstance(found, Finding) else found or ():
+                yield finding if finding.subject else replace(finding, subject=subject)
+        except InputError as problem:
+            code = f"{getattr(found, '__name__', '').partition('_')[2]}.unusable"
+            what = f"{problem.where}: {problem.what}" if problem.where else problem.what
+            yield replace(error(code, what, problem.remedy), subject=subject)
 
 
-def exit_status(findings: Sequence[Finding], strict: bool = False) -> int:
-    """0 fine (or notes only), 1 warnings, 2 errors; with ``strict`` warnings are as bad as errors."""
-    gravest = max((finding.severity for finding in findings), default=Severity.OK)
-    if strict and gravest is Severity.WARNING:
-        gravest = Severity.ERROR
-    return max(gravest - Severity.NOTE, 0)
+def exit_status(findings: Sequence[Finding]) -> int:
+    """0 fine (or notes only), 1 warnings, 2 errors."""
+    return max((max(finding.severity - Severity.NOTE, 0) for finding in findings), default=0)
 
 
 def summary(findings: Sequence[Finding]) -> str:
     """Return one line: how many of each, and the first of the gravest ones."""
     counts = Counter(finding.severity for finding in findings)
-    counted = [_counted(counts[kind], kind.name.lower()) for kind in (Severity.ERROR, Severity.WARNING) if counts[kind]]
-    if not counted:
-        return f"no errors, no warnings ({_counted(counts[Severity.OK], 'check')} passed)"
+    if not counts[Severity.ERROR] + counts[Severity.WARNING]:
+        return f"no errors, no warnings ({counts[Severity.OK]} passed)"
     first = max(findings, key=lambda finding: finding.severity)
     where = f"{first.subject}: " if first.subject else ""
-    return f"{', '.join(counted)}; first: {where}{first.what}"
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+    return f"errors: {counts[Severity.ERROR]}, warnings: {counts[Severity.WARNING]}; first: {where}{first.what}"
 
 
 STYLES = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}

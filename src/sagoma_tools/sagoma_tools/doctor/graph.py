@@ -13,14 +13,13 @@ from camera_client.background.causes import KEY as FINDINGS_KEY
 from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
 from camera_client.background.training import TrainingReport
-from capture_rig.errors import InputError
-from capture_rig.rig import Rig, load_rig
+from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from sagoma_ros.middleware import RANGE_VARIABLE
 
 from .findings import Finding, Found, about, error, graded, note, ok, warning
 from .graph_listener import ACTIVE, FLOODED, HULL, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
-from .hosts import ALONE, RosSettings
+from .hosts import RosSettings
 from .machine import domains_here
 
 SUBJECT = "graph"
@@ -31,7 +30,7 @@ ALIKE = (
     ("sync", warning, "kinds of sync"),
     ("stamps", note, "clocks for their stamps"),
 )  # keys of the clients' diagnostics
-UNCALIBRATED, ACQUIRING, REFUSED = "uncalibrated", "acquiring", "refused:"  # how nodes' messages begin
+ACQUIRING = "acquiring"  # how a tracker's message begins
 EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
 LATE_PERIODS, LATE_MS = 5, 200.0
 MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
@@ -49,15 +48,10 @@ BIG_MESSAGES = (
 
 
 def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
-    """Examine the graph of this ROS domain and a namespace, against the rig file if given, else the hull server's."""
-    rig = None
-    if rig_file is not None:
-        try:
-            rig = load_rig(rig_file)
-        except InputError as problem:  # the graph is examined all the same
-            yield replace(note("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
+    """Examine the graph of this ROS domain and a namespace, against the rig file if given."""
+    rig = None if rig_file is None else load_rig(rig_file)
     facts = collect_graph(seconds, rig.names if rig else (), namespace=namespace)
-    yield from graph_findings(replace(facts, rig=rig if rig_file is not None else _hulls_rig(facts)))
+    yield from graph_findings(replace(facts, rig=rig))
 
 
 def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
@@ -66,15 +60,14 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
     for node in facts.nodes:
         if not node.camera:
             yield from about(node.name.strip("/"), *_of_node(node, facts))
-    yield from about(HULL.strip("/"), check_refusals(facts))
     sent = {camera.camera: camera for camera in facts.cameras}
     for name in sorted({*(facts.rig.names if facts.rig else ()), *sent, *(node.camera for node in facts.nodes)} - {""}):
         subject, client = f"camera {name}", facts.client(name)
-        yield from about(subject, check_client(name, facts), check_share_in_sets(name, facts))
+        yield from about(subject, check_presence(name, facts))
         if client is not None:
             yield from about(subject, *_of_node(client, facts))
         if (its := sent.get(name)) is not None:
-            checks = check_arrival(its, client, facts), check_canvas(its, facts), check_content(its, facts)
+            checks = check_arrival(its, client), check_canvas(its, facts), check_content(its, facts)
             yield from about(subject, *checks)
 
 
@@ -86,37 +79,24 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
     """Which nodes are heard, and which of the server are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
-        yield _no_node_heard(facts)
+        others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
+        hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
+        reach = f"{RANGE_VARIABLE} (here {RosSettings.of(os.environ).reach})"
+        remedy = f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID and {reach}, open UDP "
+        remedy += "between them (sagoma doctor --host ADDRESS; --peers where the network passes no multicast), and "
+        remedy += "restart nodes that started before their network was up."
+        yield error("nodes.none", f"no node is heard in {where}", remedy)
         return
     listed = ", ".join(node.camera or node.name.strip("/") for node in facts.nodes)
     yield ok("nodes", f"{len(facts.nodes)} in {where}: {listed}")
     absent = [name for name in SERVER_NODES if facts.node(name) is None]
-    if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
-        text = "cameras that are not calibrated yet, and no server: the set-up has begun"
-        yield note("nodes.setting_up", text, "Go on with docs/first_capture.md.")
-    elif absent:
-        yield error(
-            "nodes.server_missing",
-            f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not heard in {where}",
-            "sagoma up --rig RIG on the server; the same ROS_DOMAIN_ID on all machines, and "
-            "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several.",
-        )
+    if absent:
+        remedy = "sagoma up --rig RIG on the server, once the cameras are calibrated; the same ROS_DOMAIN_ID on all "
+        remedy += "machines, and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several."
+        yield error("nodes.server_missing", f"not heard in {where}: {', '.join(absent)}", remedy)
     if unknown := [camera.camera for camera in facts.cameras if facts.rig and camera.camera not in facts.rig.names]:
         text = f"{', '.join(unknown)} publish silhouettes, but are not in the rig file"
         yield warning("cameras.not_in_rig", text, "Calibrate them into the rig, or stop them.")
-
-
-def _no_node_heard(facts: GraphFacts) -> Finding:
-    where = f"no node is heard in ROS_DOMAIN_ID {facts.domain}"
-    others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
-    hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
-    ours = RosSettings.of(os.environ)
-    if ours.reach in ALONE:
-        listed = " and ".join(("this machine", *ours.peers))
-        hint += f"{RANGE_VARIABLE} = {ours.reach}: only {listed} are asked (sagoma doctor --host ADDRESS). "
-    remedy = "Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them (--peers "
-    remedy += "where the network passes no multicast), and restart nodes that started before their network was up."
-    return error("nodes.none", where, hint + remedy)
 
 
 def check_alike(facts: GraphFacts) -> Iterator[Finding]:
@@ -166,12 +146,11 @@ def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
     if node.copies > 1:
         remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
         yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
-    if node.state is None and node.report is None:
-        text = f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here"
-        yield error("node.silent", text, UNREACHABLE)
-    elif node.state is None:
-        text = f"{node.name} reports, but does not answer questions: it is busy or hangs"
-        yield warning("node.unresponsive", text, UNREACHABLE)
+    if node.state is None:
+        text = (
+            f"{node.name} is known, but does not answer{' or report' if node.report is None else ''}: it died, hangs, "
+        )
+        yield error("node.silent", f"{text}is busy, or its packets do not get here", UNREACHABLE)
     elif node.report is None:
         yield error("diagnostics.missing", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
     if node.state not in (None, ACTIVE):
@@ -195,19 +174,14 @@ def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
 
 
 def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
-    """The clock's offset from this machine's: a report takes between nothing and one round trip to arrive."""
+    """The clock's offset from this machine's, to the milliseconds that a report takes to arrive."""
     if node.report is None or facts.simulated_time:
         return None
-    low, high = node.report.lead_s, node.report.lead_s + node.round_trip_s
-    off_s = low if low > 0 else min(high, 0.0)  # what is certain
-    way = f"{abs(off_s):.2f} s" if abs(off_s) >= 1 else f"{1e3 * abs(off_s):.1f} ms"
-    what = f"its clock is {way} {'ahead of' if off_s > 0 else 'behind'} this machine's, at the least"
+    off_s, half_s = abs(node.report.lead_s), _period_s(facts) / 2
+    text = f"{1e3 * off_s:.1f} ms {'ahead of' if node.report.lead_s > 0 else 'behind'} this machine's"
     remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
-    if abs(off_s) > _period_s(facts) / 2:
-        return error("clock.off", what, remedy)
-    if abs(off_s) > _period_s(facts) / 4:  # as stamps of one set may differ
-        return warning("clock.imprecise", what, remedy)
-    return ok("clock", f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms from this machine's")
+    off, imprecise = (off_s > half_s, error, "off", remedy), (off_s > half_s / 2, warning, "imprecise", remedy)
+    return graded("clock", text, off, imprecise)
 
 
 def check_background(node: NodeFacts) -> Iterator[Finding]:
@@ -224,55 +198,26 @@ def check_background(node: NodeFacts) -> Iterator[Finding]:
         yield warning("background.failed", f"the last training failed: {why}", remedy)
 
 
-def check_refusals(facts: GraphFacts) -> Iterator[Finding]:
-    """Cameras that the hull server refuses although they agree with the rig file: the server is wrong."""
-    hull = facts.node(HULL)
-    message = hull.message if hull is not None else ""
-    for sent in facts.cameras if message.startswith(REFUSED) else ():
-        wanted, its = facts.canvas(sent.camera), sent.canvas
-        if f"{sent.camera}:" in message and wanted and its and not _differences(its, wanted):
-            has = facts.hull_rig_file or "unknown"
-            text = f"it refuses {sent.camera}, which agrees with the rig file: the server has another one ({has})"
-            yield error("rig.refused", text, "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")
+def check_presence(camera: str, facts: GraphFacts) -> Iterator[Finding]:
+    """Whether a camera of the rig has its client, and how often the camera was missing from the frame sets."""
+    if facts.nodes and facts.rig is not None and camera in facts.rig.names and facts.client(camera) is None:
+        remedy = "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
+        remedy += f"--only {camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range."
+        yield error("node.missing", "its client is not heard: it does not run, or its machine vanished", remedy)
+    missing, sets = sum(camera in each.get("missing", "").split(",") for each in facts.sets), len(facts.sets)
+    if missing > MISSING * sets:
+        remedy = "Frames come late, get lost, or have other stamps: see clock, sync and network."
+        yield warning("frame_sets.missing_camera", f"it is missing from {missing} of {sets}", remedy)
 
 
-def check_client(camera: str, facts: GraphFacts) -> Finding | None:
-    """Whether a camera of the rig has its client."""
-    if not facts.nodes or facts.rig is None or camera not in facts.rig.names or facts.client(camera) is not None:
-        return None
-    return error(
-        "node.missing",
-        "its client is not heard: it does not run, or its machine vanished",
-        "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
-        f"--only {camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range.",
-    )
-
-
-def check_share_in_sets(camera: str, facts: GraphFacts) -> Finding | None:
-    """How often the camera was missing from the frame sets."""
-    sets = facts.sets
-    missing = sum(camera in each.get("missing", "").split(",") for each in sets)
-    if missing <= MISSING * len(sets):
-        return None
-    remedy = "Frames come late, get lost, or have other stamps: see clock, sync and network."
-    return warning("frame_sets.missing_camera", f"it is missing from {missing} of {len(sets)}", remedy)
-
-
-def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Iterator[Finding]:
-    """Whether one client publishes silhouettes, and they arrive in time."""
-    if sent.publishers > 1:
-        remedy = "Stop all but one client of this camera."
-        yield error("silhouettes.duplicate_publisher", f"{sent.publishers} nodes publish them", remedy)
+def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[Finding]:
+    """Whether its silhouettes arrive, and in time."""
     uncalibrated = sent.canvas is not None and sent.canvas.fx == 0  # as camera_info says it (REP-104)
     if not sent.masks:
-        if client is None or client.state != ACTIVE or not sent.publishers or uncalibrated:
-            return  # the node's findings say so
-        if sent.infos or client.value("rate_hz") not in ("", "0", "0.0"):
-            text = f"its client sends {client.value('rate_hz') or 'some'} a second, none arrives here"
-            yield error("silhouettes.not_arriving", text, BIG_MESSAGES)
-        else:
-            remedy = "See its message; without a background there are none."
-            yield warning("silhouettes.none_sent", "it sends none", remedy)
+        if client is not None and client.state == ACTIVE and not uncalibrated:  # else the node's findings say so
+            text = f"its client sends {client.value('rate_hz') or 'none or some'} a second, none arrives here"
+            remedy = f"See its message: without a background it sends none. {BIG_MESSAGES}"
+            yield error("silhouettes.not_arriving", text, remedy)
         return
     total = sent.masks + sent.lost
     if sent.lost > LOST * total:
@@ -288,26 +233,14 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphF
 def check_canvas(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
     """Whether the silhouettes were made with the rig's calibration."""
     canvas, rig = sent.canvas, facts.canvas(sent.camera)
-    if not sent.masks:
+    if not sent.masks or canvas is None or rig is None:
         return None
-    if canvas is None:
-        text = "none arrives beside the silhouettes"
-        return warning("camera_info.missing", text, "Is camera_client the publisher?")
-    if rig is None:
-        return None
+    pairs = zip(Canvas._fields, canvas, rig, strict=True)
+    different = [f"{name} {mine:.2f}, in the rig {its:.2f}" for name, mine, its in pairs if abs(mine - its) > SAME_PX]
+    text = f"made with another calibration than the rig file: {', '.join(different)}"
     remedy = "Copy the newer of both rig files to both machines, configure both again; a calibration set by "
     remedy += "set_camera_info belongs into rig.yaml too."
-    if differences := _differences(canvas, rig):
-        text = f"made with another calibration than the rig file: {differences}"
-        return error("camera_info.differs", text, remedy)
-    return ok("camera_info", "as in the rig file")
-
-
-def _differences(canvas: Canvas, rig: Canvas) -> str:
-    """Return the differences of the canvas that a camera publishes from the rig's, in words."""
-    pairs = zip(Canvas._fields, canvas, rig, strict=True)
-    different = [(name, mine, its) for name, mine, its in pairs if abs(mine - its) > SAME_PX]
-    return ", ".join(f"{name} {mine:.2f}, in the rig {its:.2f}" for name, mine, its in different)
+    return error("camera_info.differs", text, remedy) if different else ok("camera_info", "as in the rig file")
 
 
 def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
@@ -324,16 +257,6 @@ def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
     return graded(
         "silhouettes",
         text,
-        (sent.bad > 0, error, "undecodable", "The messages are damaged: see its log, and the network."),
         (sent.share >= FLOODED, error, "flooded", f"The light or the camera was changed. {learn}"),
         (frozen, error, "frozen", "The same one again and again: cycle the camera's power; see its client's message."),
     )
-
-
-def _hulls_rig(facts: GraphFacts) -> Rig | None:
-    """Return the hull server's rig file, when it lies on this machine."""
-    path = facts.hull_rig_file
-    try:
-        return load_rig(path) if path and Path(path).is_file() else None
-    except InputError:  # the server reports it
-        return None

@@ -6,16 +6,13 @@ import itertools
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any, NamedTuple, cast
 
-import cv2
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage
@@ -27,15 +24,14 @@ from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns, values_of
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
-from ..graph import ANSWER_S, ROUND_S
+from ..graph import ANSWER_S
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 
 OWN_NAME, HULL = "sagoma_doctor", "/hull_server"
 FRAME_SET_TOPIC = "/hull/frame_set"
-QUESTIONS = 5  # of which the fastest answer counts: one may be lost while discovery is under way
-GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
+GET_STATE = "/get_state"
 KEPT = 4096  # messages of a topic: the last minute at 60 Hz
 DECODED = 60  # masks of a camera
 ACTIVE = "active"
@@ -62,15 +58,13 @@ def canvas_of(width: int, height: int, k: Sequence[float]) -> Canvas:
 class NodeFacts:
     """One node of the graph.
 
-    state : its lifecycle state, None when it did not answer; round_trip_s : its fastest answer.
-    copies : how many nodes have this name.
+    state : its lifecycle state, None when it did not answer. copies : how many nodes have this name.
     """
 
     name: str
     state: str | None = None
     copies: int = 1
     report: NodeReport | None = None
-    round_trip_s: float = 0.0
 
     @property
     def camera(self) -> str:
@@ -92,35 +86,25 @@ class NodeFacts:
 class SilhouetteFacts:
     """What one camera sent while the doctor listened.
 
-    publishers : of its silhouettes; infos : camera_infos heard, ``canvas`` the last; masks : silhouettes heard, of
-    which ``bad`` could not be decoded and ``lost`` were missing between the first and the last.
+    canvas : of the last camera_info heard; masks : silhouettes heard; lost : missing between the first and the last.
     share : of foreground, the median of those decoded; changes : how many differed from the one before.
     age_s : from capture to arrival here, the median.
     """
 
     camera: str
-    publishers: int = 0
-    infos: int = 0
     canvas: Canvas | None = None
     masks: int = 0
-    bad: int = 0
     lost: int = 0
     share: float = 0.0
     changes: int = 0
     age_s: float = 0.0
-
-    @property
-    def sees_person(self) -> bool:
-        """Whether most of its masks have a plausible share of foreground."""
-        return PERSON_SHARE <= self.share < FLOODED
 
 
 @dataclass(frozen=True)
 class GraphFacts:
     """The running graph as heard from here.
 
-    sets : diagnostics of the hull server's frame sets. rig : the one that is expected;
-    hull_rig_file : the path of the hull server's.
+    sets : diagnostics of the hull server's frame sets. rig : the one that is expected.
     """
 
     domain: int
@@ -129,7 +113,6 @@ class GraphFacts:
     sets: tuple[Mapping[str, str], ...] = ()
     sets_hz: float = 0.0
     simulated_time: bool = False
-    hull_rig_file: str = ""
     rig: Rig | None = None
 
     def node(self, name: str) -> NodeFacts | None:
@@ -149,8 +132,8 @@ class GraphFacts:
 
     @property
     def seeing(self) -> list[str]:
-        """The cameras that see a person."""
-        return [facts.camera for facts in self.cameras if facts.sees_person]
+        """The cameras most of whose masks have a person's share of foreground."""
+        return [facts.camera for facts in self.cameras if PERSON_SHARE <= facts.share < FLOODED]
 
     @property
     def room_empty(self) -> bool:
@@ -179,9 +162,8 @@ def collect_graph(
         masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
         infos = [_listen(node, CameraInfo, f"{namespace}/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
         ends_s = time.monotonic() + seconds
-        states, trips = ask_states(node, lifecycle)
-        hull = f"{namespace}{HULL}"
-        hull_rig_file = _ask_rig_file(node, hull) if hull in states else ""
+        requests = {name + GET_STATE: GetState.Request() for name in lifecycle}
+        states = call_all(node, GetState, requests, ANSWER_S, repeatable=True)
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
         copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
@@ -190,8 +172,13 @@ def collect_graph(
         return GraphFacts(
             node.context.get_domain_id(),
             tuple(
-                NodeFacts(local, states.get(n), copies[n], reports.report(n), trips.get(n, 0.0))
-                for n, local in zip(names, (n.removeprefix(namespace) for n in names), strict=True)
+                NodeFacts(
+                    name.removeprefix(namespace),
+                    None if (told := states.get(name + GET_STATE)) is None else told.current_state.label,
+                    copies[name],
+                    reports.report(name),
+                )
+                for name in names
             ),
             tuple(
                 silhouette_facts(name, node.count_publishers(topic), mask.copy(), info.copy())
@@ -200,7 +187,6 @@ def collect_graph(
             tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
-            hull_rig_file,
         )
 
 
@@ -217,60 +203,20 @@ def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
 
 
 def silhouette_facts(camera: str, publishers: int, masks: Heard, infos: Heard) -> SilhouetteFacts:
-    """Return the facts about a camera's messages."""
+    """Return the facts about a camera's messages; without losses where several publish them."""
     info = infos[-1][0] if infos else None
     canvas = None if info is None else canvas_of(info.width, info.height, info.k)
     if not masks:
-        return SilhouetteFacts(camera, publishers, len(infos), canvas)
+        return SilhouetteFacts(camera, canvas)
     data = [bytes(message.data) for message, _ in masks]
     numbers = [number for _, each in masks if (number := each.get("publication_sequence_number")) is not None]
-    decoded = [_decode(each) for each in data[:: -(-len(data) // DECODED)]]
-    readable = [mask for mask in decoded if mask is not None]
+    decoded = [mask_png.decode(each) for each in data[:: -(-len(data) // DECODED)]]
     return SilhouetteFacts(
         camera,
-        publishers,
-        len(infos),
         canvas,
         len(data),
-        bad=len(decoded) - len(readable),
         lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
-        share=median([float((mask > SHADOW_CANDIDATE).mean()) for mask in readable] or [0.0]),
+        share=median([float((mask > SHADOW_CANDIDATE).mean()) for mask in decoded if mask is not None] or [0.0]),
         changes=sum(one != other for one, other in itertools.pairwise(data)),
         age_s=1e-9 * median(each["received_timestamp"] - to_ns(message.header.stamp) for message, each in masks),
     )
-
-
-def _decode(data: bytes) -> np.ndarray | None:
-    mask: np.ndarray | None = mask_png.decode(data)
-    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if mask is None else mask
-
-
-def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
-    """Return the lifecycle state of each node that answers, and its shortest round trip of a few, seconds."""
-    states: dict[str, str] = {}
-    trips: dict[str, float] = {}
-    for name in names:
-        client = node.create_client(GetState, name + GET_STATE)
-        for question in range(QUESTIONS if client.wait_for_service(ROUND_S) else 0):
-            came, began_s, arrived_s = threading.Event(), time.perf_counter(), [0.0]
-
-            def on_answer(_: Any, came: threading.Event = came, arrived_s: list[float] = arrived_s) -> None:
-                arrived_s[0] = time.perf_counter()
-                came.set()
-
-            future = client.call_async(GetState.Request())
-            future.add_done_callback(on_answer)
-            if came.wait(ROUND_S):
-                states[name] = cast(Any, future.result()).current_state.label
-                trips[name] = min(arrived_s[0] - began_s, trips.get(name, ROUND_S))
-            elif question > 0 and name not in states:
-                break
-        node.destroy_client(client)
-    return states, trips
-
-
-def _ask_rig_file(node: Node, name: str) -> str:
-    """Return the rig file parameter of a node; "" where it does not tell."""
-    requests = {name + GET_PARAMETERS: GetParameters.Request(names=["rig_file"])}
-    (reply,) = call_all(node, GetParameters, requests, ROUND_S, repeatable=True).values()
-    return reply.values[0].string_value if reply is not None and reply.values else ""

@@ -24,8 +24,8 @@ import psutil
 
 from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
 
-from .findings import Finding, about, error, note, ok, warning
-from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
+from .findings import Finding, about, error, graded, ok, warning
+from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, interface_to
 
 PORT = 7398  # below all ROS domains' ports
 UNUSED_PORT = 10 + 2 * PARTICIPANTS + 9  # of a domain's: no process listens there
@@ -61,16 +61,10 @@ class RosSettings:
         peers, profile = tuple(filter(None, get(PEERS_VARIABLE, "").split(";"))), Path(get(PROFILE_VARIABLE, "")).name
         return cls(int(domain) if domain.isdigit() else 0, reach, peers, profile, get("RMW_IMPLEMENTATION", ""))
 
-    def __str__(self) -> str:
-        peers = f", peers {', '.join(self.peers)}" if self.peers else ""
-        profile = f", profile {self.profile}" if self.profile else ""
-        return f"nodes in ROS_DOMAIN_ID {self.domain}, discovery {self.reach}{peers}{profile}"
-
 
 def settings_here() -> dict[str, Any]:
-    """Return the settings of this machine's nodes, each once, and the ROS domains with nodes here."""
-    nodes = dict.fromkeys(map(RosSettings.of, _node_environments()))
-    return {"nodes": [asdict(node) for node in nodes], "domains": domains_here()}
+    """Return the settings of this machine's nodes, each once."""
+    return {"nodes": [asdict(node) for node in dict.fromkeys(map(RosSettings.of, _node_environments()))]}
 
 
 def _node_environments() -> Iterator[Mapping[str, str]]:
@@ -135,28 +129,28 @@ def hears_multicast(address: str, here: str, port_of_discovery: int, port: int =
     return False
 
 
-def reaches(address: str, size: int, port: int = PORT) -> bool:
-    """Return whether an unfragmented packet of ``size`` bytes, headers included, arrives at a port."""
+def answer_of(address: str, port: int, question: bytes) -> bytes | None:
+    """Return what comes back of a question, which may not be fragmented on its way: an answer, nothing where the port
+    is closed, None where it does not arrive."""
     with _socket() as link:
         link.settimeout(PATIENCE_S)
         link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
         link.connect((address, port))
         for _ in range(TRIES):
             try:
-                link.send(_question(size))
-                link.recv(1)
-            except TimeoutError:
-                continue
+                link.send(question)
+                return link.recv(65536)
             except ConnectionRefusedError:
-                return True
-            except OSError as problem:
+                return b""
+            except OSError as problem:  # also of time
                 if problem.errno in (errno.EMSGSIZE, errno.EHOSTUNREACH, errno.ENETUNREACH):
-                    return False
-                with contextlib.suppress(OSError):
-                    link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-            else:
-                return True
-    return False
+                    break
+    return None
+
+
+def reaches(address: str, size: int, port: int = PORT) -> bool:
+    """Return whether an unfragmented packet of ``size`` bytes, headers included, arrives at a port."""
+    return answer_of(address, port, _question(size)) is not None
 
 
 # checks of another machine --------------------------------------------------------------------------------------------
@@ -168,12 +162,10 @@ SIZES = (9000, 1500, 1400, 1280)
 class Peer:
     """ROS settings of a machine's nodes and of this shell, and both addresses.
 
-    domains : where processes listen there, seen by ports. multicast, port_open : whether its multicast
-    arrives here, and packets to a ROS port there (None: not tried).
+    multicast, port_open : whether its multicast arrives here, and packets to a ROS port there (None: not tried).
     """
 
     nodes: tuple[RosSettings, ...]
-    domains: tuple[int, ...]
     ours: RosSettings
     here: str
     there: str
@@ -205,23 +197,16 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
     """Return a machine's ROS settings beside ours, and whether its nodes are heard; None when nothing answers."""
     ours = RosSettings.of(os.environ)
     first = FIRST_PORT + DOMAIN_PORTS * ours.domain
-    with _socket() as link:
-        link.settimeout(PATIENCE_S)
-        link.connect((address, port))
-        for _ in range(TRIES):
-            try:
-                link.send(_question(FULL_BYTES, first + UNUSED_PORT))
-                told, here = json.loads(link.recv(65536)), str(link.getsockname()[0])
-                nodes = [RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"]]
-                peer = Peer(tuple(nodes), tuple(told["domains"]), ours, here, address)
-                break
-            except (OSError, ValueError, KeyError, TypeError):  # nobody answers, or no doctor
-                continue
-        else:
-            return None
+    here = interface_to(address)
+    try:
+        told = json.loads(answer_of(address, port, _question(FULL_BYTES, first + UNUSED_PORT)) or b"")
+        nodes = tuple(RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"])
+    except (ValueError, KeyError, TypeError):  # nobody answers, or no doctor
+        return None
+    peer = Peer(nodes, ours, "" if here is None else here.address, address)
     if peer.node is None:
         return peer
-    arrives = None if ours.reach in ALONE else hears_multicast(address, here, first, port)
+    arrives = None if ours.reach in ALONE else hears_multicast(address, peer.here, first, port)
     return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
 
 
@@ -232,29 +217,21 @@ def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[
         remedy = f"Check the address; see: ip route get {address}"
         yield error("way.none", f"there is no way to {address} from this machine", remedy)
         return
-    if link.loopback:
-        yield note("way.local", f"{address} is this machine")
     if not answers:
         text = f"{address} does not answer through {link.name}: it is off, or a firewall is silent"
         yield warning("answer.none", text, f"ping {address}; open UDP between the machines.")
         return
     wanted = min(link.mtu, max(SIZES))
     largest = next((size for size in (wanted, *SIZES) if size <= wanted and reaches(address, size)), 0)
-    if largest == wanted:
-        yield ok("mtu", f"packets of {largest} bytes reach {address} through {link.name}")
-        return
-    reach = f"{largest or f'less than {SIZES[-1]}'} bytes at most"
-    yield error(
-        "mtu.too_large",
-        f"{link.name} sends packets of {link.mtu} bytes, but {reach} reach {address}: larger messages vanish",
-        "Give both machines and the switch between them one MTU: "
-        f"sudo ip link set {link.name} mtu {largest or SIZES[-1]}, or raise the others'.",
-    )
+    text = f"of {link.name}'s packets of {link.mtu} bytes, {largest or f'less than {SIZES[-1]}'} bytes reach {address}"
+    remedy = "Larger messages vanish. Give both machines and the switch between them one MTU: sudo ip link set "
+    remedy += f"{link.name} mtu {largest or SIZES[-1]}, or raise the others'."
+    yield graded("mtu", text, (largest < wanted, error, "too_large", remedy))
 
 
 def check_domain(peer: Peer) -> Finding | None:
     """Whether nodes run there, and in our domain."""
-    domains = sorted({node.domain for node in peer.nodes} or set(peer.domains))
+    domains = sorted({node.domain for node in peer.nodes})
     if not domains:
         return warning("nodes.none_there", "no ROS node runs there", "Start it: sagoma up --cameras FILE there.")
     if peer.ours.domain in domains:
@@ -272,14 +249,15 @@ def check_discovery(peer: Peer) -> Finding | None:
     if peer.here in theirs.peers or peer.there in ours.peers:
         return ok("discovery", "one of both machines names the other as a peer")
     name = f"sagoma ... --peers {peer.here} there or --peers {peer.there} here, at every start"
-    remedy = f"{name}, or {RANGE_VARIABLE}=SUBNET on both where multicast passes. {DOCS}"
-    for settings, place in ((theirs, "there"), (ours, "here")):
-        if settings.reach in ALONE and settings.peers:
-            text = f"{place}, only peers are heard ({', '.join(settings.peers)}): neither machine names the other"
-            return error("peers.missing", text, remedy)
-        if settings.reach in ALONE:
-            text = f"{RANGE_VARIABLE} is {settings.reach} {place}, and neither machine names the other as a peer"
-            return error("discovery.local", text, remedy)
+    alone = [
+        f"{place} {RANGE_VARIABLE} is {each.reach}{f' and {each.peers} are heard' if each.peers else ''}"
+        for each, place in ((theirs, "there"), (ours, "here"))
+        if each.reach in ALONE
+    ]
+    if alone:
+        text = f"{', '.join(alone)}: neither machine names the other as a peer"
+        remedy = f"{name}, or {RANGE_VARIABLE}=SUBNET on both where multicast passes. {DOCS}"
+        return error("discovery.local", text, remedy)
     text = f"nodes run there in ROS_DOMAIN_ID {ours.domain}, but their multicast does not arrive here"
     why = "A switch with IGMP snooping, Wi-Fi, another subnet, or a firewall keeps it back: give addresses, "
     blocked = peer.multicast is False
@@ -301,4 +279,3 @@ def check_settings(peer: Peer) -> Iterator[Finding]:
     if node.middleware != ours.middleware and {node.middleware, ours.middleware} != {"", "rmw_fastrtps_cpp"}:
         text = f"another middleware runs there: RMW_IMPLEMENTATION={node.middleware or 'not set'}"
         yield error("middleware.differs", text, "The same RMW_IMPLEMENTATION on all machines.")
-    yield ok("settings", "; ".join(map(str, peer.nodes)))

@@ -15,12 +15,11 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 import hull_server
 from camera_client.sources.aravis_source import import_aravis
-from capture_rig.errors import InputError
 from sagoma_ros.middleware import PROFILE_VARIABLE
 
 from .findings import Finding, about, error, graded, note, ok, warning
 
-SUBJECT = "this machine"
+SUBJECT, BAGS = "this machine", Path("output")  # where commands record
 PYTHONS = ((3, 11), (3, 12))
 ROS, TESTED_RMW = "jazzy", "rmw_fastrtps_cpp"
 FREE_CORES = 1.0  # a camera client at 100 frames a second takes a third of one
@@ -30,17 +29,11 @@ FREE_DISK, NO_DISK = 5 << 30, 200 << 20
 SHARED_MEMORY, SMALL_SHARED_MEMORY = "/dev/shm", 128 << 20  # containers start with 64 MiB
 
 
-def examine_machine(bags: Path) -> Iterator[Finding]:
-    """Examine this machine; ``bags`` is the folder for recordings."""
-    yield from about(SUBJECT, check_software(), check_kernels(), check_shared_memory())
-    yield from about(SUBJECT, check_interfaces(), check_buffer(BUFFER_BYTES), check_profile())
-    yield from examine_node_host()
-    yield from about(SUBJECT, check_disk(bags))
-
-
-def examine_node_host() -> Iterator[Finding]:
-    """Examine what nodes need of this machine."""
-    yield from about(SUBJECT, check_aravis(), check_cores(), check_memory(), check_clock(), check_ros_environment())
+def examine_machine() -> Iterator[Finding]:
+    """Examine this machine."""
+    yield from about(SUBJECT, check_software(), check_kernels(), check_aravis(), check_resources(), check_clock())
+    yield from about(SUBJECT, check_ros_environment(), check_profile(), check_disk(BAGS))
+    yield from about(SUBJECT, check_interfaces(), check_buffer(BUFFER_BYTES))
 
 
 def check_software() -> Iterator[Finding]:
@@ -73,37 +66,25 @@ def check_kernels() -> Finding:
     )
 
 
-def check_shared_memory() -> Finding:
-    """The shared memory through which nodes of one machine exchange messages."""
-    memory = psutil.disk_usage(SHARED_MEMORY)
-    text = f"{memory.free >> 20} of {memory.total >> 20} MiB of {SHARED_MEMORY} are free"
-    remedy = "In a container: --shm-size=512m (or --ipc=host); else mount it larger."
-    return graded("shm", text, (memory.free < SMALL_SHARED_MEMORY, warning, "small", remedy))
-
-
-def check_aravis() -> Finding:
+def check_aravis() -> Iterator[Finding]:
     """Whether Aravis can be imported."""
-    try:
-        import_aravis()
-    except InputError as problem:
-        remedy = "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup"
-        return error("aravis.missing", problem.what, remedy)
-    return ok("aravis", "can be imported")
+    import_aravis()
+    yield ok("aravis", "can be imported")
 
 
-def check_cores() -> Finding:
-    """Processor cores that are free."""
+def check_resources() -> Iterator[Finding]:
+    """Processor cores and memory that are free, also that through which nodes of one machine exchange messages."""
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
     text = f"{cores} cores, {max(cores - load, 0.0):.1f} of them free (load {load:.1f})"
     remedy = "Close other programs, or run fewer camera clients on this machine."
-    return graded("cores", text, (cores - load < FREE_CORES, warning, "busy", remedy))
-
-
-def check_memory() -> Finding:
-    """Memory that is free."""
+    yield graded("cores", text, (cores - load < FREE_CORES, warning, "busy", remedy))
     free = psutil.virtual_memory().available
-    text = f"{free >> 20} MiB are free"
-    return graded("memory", text, (free < FREE_BYTES, warning, "low", "Close what is not needed here."))
+    low = (free < FREE_BYTES, warning, "low", "Close what is not needed here.")
+    yield graded("memory", f"{free >> 20} MiB are free", low)
+    shared = psutil.disk_usage(SHARED_MEMORY)
+    text = f"{shared.free >> 20} of {shared.total >> 20} MiB of {SHARED_MEMORY} are free"
+    remedy = "In a container: --shm-size=512m (or --ipc=host); else mount it larger."
+    yield graded("shm", text, (shared.free < SMALL_SHARED_MEMORY, warning, "small", remedy))
 
 
 def check_clock() -> Finding:
@@ -126,9 +107,9 @@ def check_clock() -> Finding:
 
 def check_ros_environment() -> Iterator[Finding]:
     """Environment variables that decide whom nodes hear."""
-    domain = os.environ.get("ROS_DOMAIN_ID", "")
-    valid = domain == "" or (domain.isdigit() and int(domain) <= HIGHEST_DOMAIN)
-    text = f"ROS_DOMAIN_ID = {domain or '0 (not set)'}; it must be the same on all machines"
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    valid = domain.isdigit() and int(domain) <= HIGHEST_DOMAIN
+    text = f"ROS_DOMAIN_ID = {domain}; it must be the same on all machines"
     remedy = f"Give a number from 0 to {HIGHEST_DOMAIN}: above, ports collide with those of outgoing connections."
     yield graded("ros", text, (not valid, error, "domain_invalid", remedy))
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
@@ -143,7 +124,7 @@ def check_disk(bags: Path) -> Finding:
     place = next(each for each in (bags.absolute(), *bags.absolute().parents) if each.exists())
     if not (place.is_dir() and os.access(place, os.W_OK)):
         why = "may not be written" if place.is_dir() else "is not a folder"
-        return error("disk.unusable", f"{place} {why}", "Name another folder with --bags, and record there.")
+        return error("disk.unusable", f"{place} {why}", "Record into another folder.")
     free = psutil.disk_usage(str(place)).free
     text, remedy = f"{free / 2**30:.1f} GiB are free for bags in {bags}", "Delete old bags, or record on another disk."
     return graded("disk", text, (free < NO_DISK, error, "full", remedy), (free < FREE_DISK, warning, "low", remedy))
@@ -235,17 +216,15 @@ def check_buffer(wanted: int) -> Finding:
     except OSError:
         text = "unknown: this container does not show net.core.rmem_max"
         return note("rmem_max.unknown", text, "Look at it on the host.")
-    remedy = f"sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in /etc/sysctl.d/60-cameras.conf)"
-    text = f"net.core.rmem_max = {value} bytes, wanted {wanted}: bursts of messages and frames are lost"
-    small = warning("rmem_max.small", text, remedy)
-    return small if value < wanted else ok("rmem_max", f"net.core.rmem_max = {value} bytes")
+    remedy = f"Bursts of messages and frames are lost: sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in "
+    remedy += "/etc/sysctl.d/60-cameras.conf)"
+    text = f"net.core.rmem_max = {value} bytes, wanted {wanted}"
+    return graded("rmem_max", text, (value < wanted, warning, "small", remedy))
 
 
 def check_profile() -> Finding | None:
     """The middleware's profile: one that is named and is not there is ignored silently."""
     profile = os.environ.get(PROFILE_VARIABLE) or os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE", "")
-    text = f"{profile} does not exist, and the middleware ignores that silently"
-    remedy = f"export {PROFILE_VARIABLE}=/path/to/config/dds/fastdds.xml, or unset it."
-    if profile and not Path(profile).is_file():
-        return error("dds_profile.missing", text, remedy)
-    return ok("dds_profile", profile) if profile else None
+    remedy = f"It is not there: export {PROFILE_VARIABLE}=/path/to/config/dds/fastdds.xml, or unset it."
+    missing = (not Path(profile).is_file(), error, "missing", remedy)
+    return graded("dds_profile", profile, missing) if profile else None

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import datetime
 import itertools
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +13,12 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
-from capture_rig.errors import InputError
 from capture_rig.lens import is_fisheye
 from capture_rig.rig import Rig, load_rig
-from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
+from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, load_session
 from capture_rig.verdict import GOOD, REDO, USABLE
-from capture_rig.video import VideoFacts, examine_video, session_findings
-from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
+from capture_rig.video import VideoFacts, ended_findings, examine_video
+from capture_rig.visibility import MOST_PIXEL_M, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
@@ -32,12 +29,13 @@ from .findings import Finding, about, error, graded, note, warning
 Array = npt.NDArray[np.float64]
 
 SUBJECT, SUFFIX = "rig", ".report.yaml"  # of the report that sagoma calibrate writes beside its result
+ENTRIES = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}  # of a camera matrix
 LENS_FOLDERS = (".", "intrinsics", "calibration/intrinsics", "../intrinsics")  # beside the rig file
 CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate intrinsics"
 STEP_M, BREAST_M = 0.2, 1.0
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
-NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
+NARROW_DEG, WIDE_DEG = 15.0, 130.0
 HIGH_M, LOW_M = 6.0, 0.3
 FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the same outline, mirrored
 MIN_CAMERAS = 3
@@ -66,7 +64,7 @@ class RigView:
         x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
         places = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1).reshape(-1, len(BODY_LEVELS_M), 3)
         sees = np.array([_sees(camera, places) for camera in rig.cameras])
-        lenses = (intrinsics,) if intrinsics is not None else _lens_folders(path)
+        lenses = (intrinsics,) if intrinsics is not None else tuple(path.parent / name for name in LENS_FOLDERS)
         return cls(rig, path, lenses, sees, np.array([*(low + high)[:2] / 2, BREAST_M]))
 
     def seen_by(self, count: int) -> float:
@@ -82,14 +80,9 @@ class RigView:
 def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
     """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
     path = path or Path(session or ".") / "rig.yaml"
-    try:
-        rig = load_rig(path)
-    except InputError as problem:
-        yield replace(error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
-        return
+    rig = load_rig(path)
     view = RigView.of(rig, path, intrinsics)
-    checks = check_rig_report(view), check_number(view), check_common_view(view), check_regions(view), check_pairs(view)
-    yield from about(SUBJECT, *checks)
+    yield from about(SUBJECT, check_rig_report(view), check_coverage(view), check_regions(view), check_pairs(view))
     videos: dict[str, VideoFacts] = {}
     for camera in rig.cameras:
         subject = f"camera {camera.name}"
@@ -114,46 +107,32 @@ def check_rig_report(view: RigView) -> Iterator[Finding]:
 
 def check_report(path: Path, again: str) -> Iterator[Finding]:
     """The verdict, the findings and the age of the report that a calibration left."""
-    try:
-        report = read_mapping(path, "Calibrate again.")
-    except InputError as problem:
-        yield warning("report.unreadable", f"{path}: {problem.what}", again)
-        return
+    report = read_mapping(path, f"{again}.")
     grade, listed = report.get("verdict"), report.get("findings")
-    whys = [each for each in listed if isinstance(each, Mapping)] if isinstance(listed, list) else []
-    reasons = [f"{why.get('what')} ({why.get('remedy')})" for why in whys]
+    reasons = [f"{why['what']} ({why['remedy']})" for why in listed] if isinstance(listed, list) else []
     text = f"{path}: {'; '.join([str(grade), *reasons])}"
     remedy = f"{again}, after what the report says"
     later = (grade == USABLE, warning, "usable", f"{remedy}, when there is time")
     none = (grade != GOOD, note, "no_verdict", again)
     yield graded("calibration", text, (grade == REDO, error, "redo", remedy), later, none)
-    try:
-        made_s = datetime.datetime.fromisoformat(str(report.get("date"))).timestamp()
-    except ValueError:
-        made_s = path.stat().st_mtime
-    age_s = time.time() - made_s
+    age_s = time.time() - path.stat().st_mtime
     remedy = f"Stands and lenses creep: {again}."
     yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
 
 
-def check_number(view: RigView) -> Finding:
-    """Whether the cameras are enough to carve a body."""
+def check_coverage(view: RigView) -> Iterator[Finding]:
+    """Whether the cameras are enough to carve a body, and how much of the volume enough of them see."""
     number = len(view.rig.cameras)
     few = "Use four cameras or more; three at the least: two cannot carve a body."
     three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
-    at_least = MIN_CAMERAS
-    cases = (number < at_least, error, "too_few", few), (number == at_least, note, "three", three)
-    return graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
-
-
-def check_common_view(view: RigView) -> Finding:
-    """How much of the volume enough cameras see."""
-    enough = min(MIN_CAMERAS, len(view.rig.cameras))
+    cases = (number < MIN_CAMERAS, error, "too_few", few), (number == MIN_CAMERAS, note, "three", three)
+    yield graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
+    enough = min(MIN_CAMERAS, number)
     share = view.seen_by(enough)
     text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
     remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
     poor, little = (share < POOR_SHARE, error, "unseen", remedy), (share < LITTLE_SHARE, note, "little_seen", remedy)
-    return graded("volume", text, poor, little)
+    yield graded("volume", text, poor, little)
 
 
 def check_regions(view: RigView) -> Finding:
@@ -170,17 +149,14 @@ def needed_parts(rig: Rig) -> Rig:
 
 
 def carried(rig: Rig) -> str:
-    """Say how fast a link carries all pictures of the cameras, and what the volume needs of them: which that is."""
-    named = (f"{each.name} {region_text(needed_region(each, rig.volume))}" for each in rig.cameras)
+    """Say how fast a link carries all pictures of the cameras, and what the volume needs of them: which that is, in the
+    words of the clients' settings."""
+    regions = {each.name: asdict(needed_region(each, rig.volume)) for each in rig.cameras}
+    named = (f"{name} {', '.join(f'{key} {px}' for key, px in region.items())}" for name, region in regions.items())
     return (
         f"a link of {GIGABIT} Mbit/s carries all cameras at {most_hz(rig):.0f} Hz, at {most_hz(needed_parts(rig)):.0f} "
         f"Hz what the volume needs ({'; '.join(named)})"
     )
-
-
-def region_text(region: Region) -> str:
-    """Return a region in the words of the client's settings."""
-    return ", ".join(f"{name} {value}" for name, value in asdict(region).items())
 
 
 def most_hz(rig: Rig) -> float:
@@ -213,42 +189,34 @@ def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         return
     yield from check_report(report, CALIBRATE_LENS)
     path = report.with_name(f"{camera.name}.yaml")
-    try:
-        own = load_camera_info(path, camera).K[[0, 1, 0, 1], [0, 1, 2, 2]] if path.is_file() else None
-    except InputError as problem:
-        yield warning("intrinsics.unreadable", f"{path}: {problem.what}", CALIBRATE_LENS)
-        return
-    of_rig = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
-    if own is not None and np.abs(own - of_rig).max() > SAME_LENS_PX:
-        entries = zip(("fx", "fy", "cx", "cy"), own, of_rig, strict=True)
-        differences = ", ".join(
-            f"{name} {mine:.1f}, in the rig {its:.1f}" for name, mine, its in entries if mine != its
-        )
+    own = load_camera_info(path, camera).K if path.is_file() else camera.K
+    if np.abs(own - camera.K).max() > SAME_LENS_PX:
+        mine, its = (", ".join(f"{k} {K[at]:.1f}" for k, at in ENTRIES.items()) for K in (own, camera.K))
         remedy = f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
         remedy += "else remove the old camera_info."
-        yield warning("intrinsics.differ", f"{path} differs from the rig file: {differences}", remedy)
+        yield warning("intrinsics.differ", f"{path} differs from the rig file: {mine}, in the rig {its}", remedy)
 
 
 def check_lens(camera: CameraModel) -> Iterator[Finding]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
-    off, across = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height), across_deg(camera)
+    off = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height)
+    across = 2 * np.degrees(np.arctan(width / (2 * fx)))
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
     yield graded(
         "lens",
-        f"f {fx:.0f} x {fy:.0f} px, {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
+        f"f {fx:.0f} x {fy:.0f} px, as a pinhole {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
         (off > CENTRE_PRIOR, warning, "off_centre", again),
         (abs(fx / fy - 1) > ASPECT_PRIOR, warning, "unequal_focal", again),
-        (not NARROW_DEG < across < (FISHEYE_DEG if fisheye else WIDE_DEG), warning, "field_of_view", again),
+        (not NARROW_DEG < across < WIDE_DEG, warning, "field_of_view", again),
     )
-    share, text = camera.unused_share, unused_text(camera)
-    if share > UNUSED_USABLE and not fisheye:
-        yield warning("lens.border", text, again)
-    elif share > UNUSED_GOOD:
+    share = camera.unused_share
+    if share > UNUSED_GOOD:
         remedy = "Keep people out of the image's corners"
         remedy += "." if fisheye else f", or {CALIBRATE_LENS} --model auto, with a ChArUco board in them."
-        yield note("lens.unused", text, remedy)
+        much = share > UNUSED_USABLE and not fisheye
+        yield (warning if much else note)("lens.unused", unused_text(camera), remedy)
 
 
 def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
@@ -275,55 +243,26 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
 
 def check_footage(camera: CameraModel, session: Path, videos: dict[str, VideoFacts]) -> Iterator[Finding]:
     """Whether a camera's footage and background can be read and have the calibrated size; ``videos`` gets the video."""
-    size = (camera.width, camera.height)
-    try:
-        video = find_footage(session, camera.name, VIDEO_SUFFIXES)
-        if video is None:
-            raise InputError(f"there is no {camera.name}.mp4", where=str(session))
-        sizes = {"footage": footage_shape(video)}
-        if background := _background(session, camera.name):
-            sizes["background"] = footage_shape(background)
-        videos[camera.name] = examine_video(video)
-    except InputError as problem:
-        text = f"{problem.where}: {problem.what}"
-        yield error("footage.unreadable", text, "Record the session again, or mend the file.")
-        return
-    for kind, (height, width, *_) in sizes.items():
-        text = f"{width} x {height} pixels, the camera was calibrated at {size[0]} x {size[1]}"
+    paths = {"footage": find_footage(session, camera.name, VIDEO_SUFFIXES)}
+    paths["background"] = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+    if paths["footage"] is not None:
+        videos[camera.name] = examine_video(paths["footage"])
+    for kind, path in paths.items():
+        if path is None:  # loading the session says so
+            continue
+        height, width, *_ = footage_shape(path)
+        text = f"{width} x {height} pixels, the camera was calibrated at {camera.width} x {camera.height}"
         remedy = "Record at the calibrated size, or calibrate at the recorded one."
-        yield graded(kind, text, ((width, height) != size, error, "size_differs", remedy))
-
-
-def _background(session: Path, camera: str) -> Path | None:
-    return find_footage(session, f"{camera}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+        yield graded(kind, text, ((width, height) != (camera.width, camera.height), error, "size_differs", remedy))
 
 
 def check_session(videos: Mapping[str, VideoFacts], session: Path) -> Iterator[Finding]:
-    """Whether the videos have one rate and equally many frames, can be read to their ends, and have backgrounds."""
-    rates = {camera: video.fps for camera, video in videos.items()}
-    if rates and not _states_rate(session) and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
-        listed = ", ".join(f"{camera} {f'{rate:g}' if rate else 'unknown'}" for camera, rate in rates.items())
-        remedy = "Give the true rate as 'fps' in session.yaml."
-        yield error("footage.rate", f"the videos' headers give no one frame rate ({listed})", remedy)
-    for found in session_findings(videos):
+    """Whether the session can be loaded, its videos can be read to one end, and every camera has a background."""
+    for found in ended_findings(videos) if videos else ():
         yield warning("footage.doubtful", found.what, found.remedy)
-    frames = {camera: video.passed.frames for camera, video in videos.items()}
-    if len(set(frames.values())) > 1:
-        lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
-        remedy = "Cut them so that frame k of all was taken at the same instant."
-        yield warning("footage.lengths_differ", f"the videos have different numbers of frames ({lengths})", remedy)
-    if bare := [camera for camera in videos if _background(session, camera) is None]:
-        remedy = f"Add {bare[0]}_background.mp4 or .png."
-        yield error("background.missing", f"there is none for {', '.join(bare)}", remedy)
-
-
-def across_deg(camera: CameraModel) -> float:
-    """Return the angle across the image's middle row, of the lens or of its pinhole, whichever is wider; to where the
-    lens model holds, where it does not reach the sides."""
-    row = camera.K[1, 2]
-    ideal = camera.ideal_points(np.array([[0.0, row], [camera.width - 1.0, row]]))[:, 0]
-    by_lens = float(np.degrees(np.nan_to_num(np.arctan(np.abs(ideal)), nan=camera.reach_rad).sum()))
-    return max(by_lens, float(np.degrees(2 * np.arctan(camera.width / (2 * camera.K[0, 0])))))
+    backgrounds = load_session(session).backgrounds
+    if bare := [camera for camera in videos if camera not in backgrounds]:
+        yield error("background.missing", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4.")
 
 
 def _sees(camera: CameraModel, places: Array) -> npt.NDArray[np.bool_]:
@@ -331,21 +270,3 @@ def _sees(camera: CameraModel, places: Array) -> npt.NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         inside = (pixels >= -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)
     return np.asarray(inside.all(axis=(1, 2)))
-
-
-def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
-    """Return where the cameras' own calibrations may be: where the rig's report says, or beside the rig file."""
-    folders = tuple(rig_file.parent / name for name in LENS_FOLDERS)
-    try:
-        asked = read_mapping(rig_file.with_name(rig_file.stem + SUFFIX), "").get("asked")
-    except InputError:  # there is none, or check_report says so
-        return folders
-    named = asked.get("intrinsics") if isinstance(asked, Mapping) else None
-    return (Path(named), *folders) if isinstance(named, str) else folders
-
-
-def _states_rate(session: Path) -> bool:
-    """Return whether the session states a frame rate, one that loading it does not refuse."""
-    with contextlib.suppress(InputError):
-        return stated_rate(session / "session.yaml") is not None
-    return False

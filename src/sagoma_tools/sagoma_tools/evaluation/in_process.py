@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from capture_rig.session import Session
@@ -49,8 +49,6 @@ def track_people(
     once of cameras that are not where the rig says.
     """
     first, *others = variants.values()
-    if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
-        raise ValueError("variants of one run differ in the settings of cameras or hull")
     pipeline = MocapPipeline(session.rig, first) if exact_masks else pipeline_of(session, first)
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, pipeline, ended)
     followers = [pipeline.body, *(TrackingStage.of(other, session.rig) for other in others)]
@@ -83,47 +81,28 @@ def track_people(
 
 SOLVE = "icp_tracker.articulated."
 THESIS = "thesis: hierarchical ICP, identity model"
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of the tracker, and the settings that switch it off.
-
-    without : settings (NODE.PARAMETER) that switch it off; feedback : False where without it each fit starts from
-    the fit before instead of the filter's state.
-    """
-
-    name: str
-    without: Mapping[str, Any] = field(default_factory=dict)
-    feedback: bool = True
-
-
-PARTS = (
-    Part("all joints at once", {"icp_tracker.method": "hierarchical"}),
-    Part("the hull's surface on the body surface", {SOLVE + "volume.weight": 0.0}),
-    Part("contour rays tangent to the body surface", {SOLVE + "contour.weight": 0.0}),
-    Part("fits start from the filter's state", feedback=False),
-    Part("constant velocity", {"ekf_tracker.motion_model": "identity"}),
-)
-"""In the order in which the rows add them."""
-ROWS = (THESIS, *(f"+ {part.name}" for part in PARTS))
+FEEDBACK = "feedback"  # no node's setting: where it is off, each fit starts from the fit before, not the filter's state
+PARTS: Mapping[str, Mapping[str, Any]] = {
+    "all joints at once": {"icp_tracker.method": "hierarchical"},
+    "the hull's surface on the body surface": {SOLVE + "volume.weight": 0.0},
+    "contour rays tangent to the body surface": {SOLVE + "contour.weight": 0.0},
+    "fits start from the filter's state": {FEEDBACK: False},
+    "constant velocity": {"ekf_tracker.motion_model": "identity"},
+}
+"""The parts of the tracker in the order in which the rows add them, and the settings that switch each off."""
+ROWS = (THESIS, *(f"+ {part}" for part in PARTS))
 """Each row's name; the last one is all of it."""
 OURS = ROWS[-1]
 
 
 def ablation_rows(settings: Mapping[str, Any]) -> dict[str, Configuration]:
-    """Name to configuration: the thesis's method first; each row adds one part; the last one is the settings' own."""
-    return {name: _without(PARTS[count:], settings) for count, name in enumerate(ROWS)}
-
-
-def thesis_configuration(settings: Mapping[str, Any]) -> Configuration:
-    """The thesis's method: hierarchical ICP started from its own last pose (4.3), then the filter without a motion
-    model (5.2)."""
-    return _without(PARTS, settings)
-
-
-def _without(parts: tuple[Part, ...], settings: Mapping[str, Any]) -> Configuration:
-    changed = dict(settings)
-    for part in parts:
-        changed.update(part.without)
-    return Configuration.of(changed, feedback=all(part.feedback for part in parts))
+    """Name to configuration: the thesis's method first, which is hierarchical ICP started from its own last pose (4.3),
+    then the filter without a motion model (5.2); each row adds one part; the last one is the settings' own."""
+    rows = {}
+    for count, name in enumerate(ROWS):
+        changed = dict(settings)
+        for without in list(PARTS.values())[count:]:
+            changed |= without
+        feedback = changed.pop(FEEDBACK, True)
+        rows[name] = Configuration.of(changed, feedback=feedback)
+    return rows

@@ -7,7 +7,6 @@ import sys
 import tempfile
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -71,23 +70,17 @@ class StudioProcess:
         self.folder.mkdir(parents=True, exist_ok=True)
         places = ["--control", str(self._control), "--write", str(self.folder)]
         command = [sys.executable, "-u", "-m", "virtual_studio.gige", *places, *self._arguments]
-        ended = threading.Event()
-        log = self.folder / "studio.log"
+        ended, log = threading.Event(), self.folder / "studio.log"
         log.unlink(missing_ok=True)
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
         deadline_s = time.monotonic() + START_TIMEOUT_S  # a long session is decoded into memory first
         while self._child.log_tail(1) != "ready":
             interrupted = cancel is not None and cancel.is_set()
-            if ended.wait(LOOK_S) or interrupted:
-                why, remedy = "it was interrupted" if interrupted else "it has ended", "Correct what its log names."
-            elif time.monotonic() > deadline_s:
-                why = f"it was not ready after {START_TIMEOUT_S:g} s"
-                remedy = f"See what its log says last; {busy_machine() or 'the machine is not busy'}."
-            else:
-                continue
-            self.close()
-            what = f"the studio did not start ({why}; {self._child.log_tail(2) or 'its log is empty'})"
-            raise InputError(what, where=str(log), remedy=remedy)
+            if ended.wait(LOOK_S) or interrupted or time.monotonic() > deadline_s:
+                self.close()
+                said = "it was interrupted" if interrupted else self._child.log_tail(2) or "its log is empty"
+                remedy = f"Correct what its log names; {busy_machine() or 'the machine is not busy'}."
+                raise InputError(f"the studio did not start ({said})", where=str(log), remedy=remedy)
         return self
 
     def ask(self, do: str, **words: Any) -> dict[str, Any]:
@@ -107,71 +100,52 @@ class StudioProcess:
         self.close()
 
 
-class LiveInput(ABC):
-    """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose.
+class FootageInput:
+    """The session's videos, read by the camera clients; at rate 0 as fast as the graph keeps up, dropping nothing.
 
-    in_real_time : whether a frame's stamp is the time of its exposure, so that its age is a latency.
+    ``clock`` is that of cameras which expose. in_real_time : whether a frame's stamp is the time of its exposure, so
+    that its age is a latency.
     """
 
     clock = UTC
-    in_real_time = True
 
-    def __init__(self, session_folder: str | Path) -> None:
+    def __init__(self, session_folder: str | Path, rate: float = 0.0) -> None:
         self.session: Session = load_session(session_folder)
+        self._rate, self.in_real_time = rate, rate > 0.0
 
-    @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         """Return the nodes that process these frames."""
+        return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
 
-    @abstractmethod
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        """Prepare the active graph for the playback, and give it time to find the rate that it holds."""
+        """Prepare the active graph for the playback, and give it time to find the rate that it holds: files train no
+        background, and are played no faster than the graph answers."""
 
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
         return {}
 
-    @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
 
         None where the input has no clock of its own: the first stamp is then that of frame 0.
         """
+        expected, seen = frame_count(self.session), -1
+        while seen < expected and not cancel.is_set():
+            if not recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, PATIENCE_S):
+                break
+            seen = recorder.counts.get(PREDICTION_TOPIC, 0)
+        return None
 
     def __enter__(self) -> Self:
         """Start the processes that it runs."""
         return self
 
-    @abstractmethod
     def __exit__(self, *error: object) -> None:
         """End them."""
 
 
-class FootageInput(LiveInput):
-    """The session's videos, read by the camera clients; at rate 0 as fast as the graph keeps up, dropping nothing."""
-
-    def __init__(self, session_folder: str | Path, rate: float = 0.0) -> None:
-        super().__init__(session_folder)
-        self._rate, self.in_real_time = rate, rate > 0.0
-
-    def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
-        return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
-
-    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        """Do nothing: files train no background, and are played no faster than the graph answers."""
-
-    def __exit__(self, *error: object) -> None:
-        """Do nothing: no process was started."""
-
-    def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
-        expected, seen = frame_count(self.session), -1
-        while seen < expected and not cancel.is_set():
-            if not recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, PATIENCE_S):
-                return
-            seen = recorder.counts.get(PREDICTION_TOPIC, 0)
-
-
-class StudioInput(LiveInput):
+class StudioInput(FootageInput):
     """Simulated GigE Vision cameras that look at the session; the graph runs on them as on hardware.
 
     The room is empty at first, and every camera client trains its background. At full speed, the session's first
@@ -192,10 +166,10 @@ class StudioInput(LiveInput):
         trained: bool = False,
         cancel: threading.Event | None = None,
     ) -> None:
-        super().__init__(session_folder)
+        super().__init__(session_folder, speed)
         self._fps, self._trained, self._cancel = fps, trained, cancel
         self.clock = CaptureClock(speed)
-        self.in_real_time = self.clock.speed == 1
+        self.in_real_time = speed == 1
         address = free_first_address(len(self.session.rig.names))
         scene = "--session", str(self.session.folder), "--fps", f"{fps:g}", "--speed", str(self.clock.speed), "--empty"
         self.studio = StudioProcess(folder, *scene, "--address", address)

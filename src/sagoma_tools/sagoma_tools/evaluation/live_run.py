@@ -25,7 +25,7 @@ from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
-from .live_inputs import LiveInput, StudioInput
+from .live_inputs import FootageInput, StudioInput
 from .reasons import reasons_of_bag
 from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track, main_track
@@ -35,7 +35,6 @@ LEAST_HZ = 25.0  # frame sets a second that the graph is to hold of simulated ca
 SLOWEST = 1 / 32
 KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture, and have all cameras if simulated
 LATENCY_TOPIC = "/mocap/latency"
-AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class LiveRun:
     incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
     usage : memory and processor time by process, at the end of the run.
     cpu_ms_per_set : processor time that each process spent on one frame set, on average, its start left out.
-    diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
+    diagnostics : each node's last diagnostics.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     speed : of the cameras' time, of which sets_per_s alone is not.
     tracks : everybody's, by the person's number; the first person's is empty where nobody was tracked.
@@ -67,7 +66,6 @@ class LiveRun:
     usage: dict[str, Usage]
     cpu_ms_per_set: dict[str, float]
     diagnostics: dict[str, Mapping[str, str]]
-    latency_ms: dict[str, np.ndarray]
     ages_ms: dict[str, np.ndarray]
     speed: float
     tracks: dict[int, Track]
@@ -90,7 +88,7 @@ class LiveRun:
 
 
 def run_live(
-    live_input: LiveInput,
+    live_input: FootageInput,
     output: Path,
     *,
     start: str = "auto",
@@ -115,15 +113,23 @@ def run_live(
                 supervisor.activate(tolerate_cameras=False)
                 doing("waiting until cameras and graph are in step")
                 live_input.prepare(supervisor, cancel)
-                meter = UsageMeter(supervisor, live_input)
+                began_ns, before = live_input.clock.now_ns(), used(supervisor, live_input)
                 doing("playing the session")
                 clock = live_input.play(recorder, cancel)
-                meter.stop()
+                after = used(supervisor, live_input)
+                reports = {spec.full_name: supervisor.diagnostics.report(spec.full_name) for spec in graph}
                 doing("stopping the nodes")
                 supervisor.suspend()
                 recorder.close(None if clock is None else clock.provenance())
     doing("reading the bag")
-    return _read_back(live_input, bag, meter)
+    spent_s = {name: now.cpu_s - before[name].cpu_s for name, now in after.items() if name in before}
+    diagnostics = {name: report.values for name, report in reports.items() if report is not None}
+    return _read_back(live_input, bag, began_ns, after, spent_s, diagnostics)
+
+
+def used(supervisor: Supervisor, live_input: FootageInput) -> dict[str, Usage]:
+    """Return what the graph's and its input's processes use."""
+    return {**supervisor.processes.usage(), **live_input.usage()}
 
 
 def run_studio(
@@ -154,37 +160,23 @@ def run_studio(
         shutil.rmtree(output / "bag", ignore_errors=True)
 
 
-class UsageMeter:
-    """Measures what the graph's and its input's processes use from construction to :meth:`stop`, and keeps the nodes'
-    last diagnostics."""
-
-    def __init__(self, supervisor: Supervisor, live_input: LiveInput) -> None:
-        self._used = lambda: {**supervisor.processes.usage(), **live_input.usage()}
-        self._report = supervisor.diagnostics.report
-        self._names = [spec.full_name for spec in supervisor.graph]
-        self.began_ns, self._before = live_input.clock.now_ns(), self._used()
-
-    def stop(self) -> None:
-        self.usage = self._used()
-        reports = {name: self._report(name) for name in self._names}
-        self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
-
-    def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
-        """Processor time of each process for one of so many frame sets."""
-        spent = {n: used.cpu_s - self._before[n].cpu_s for n, used in self.usage.items() if n in self._before}
-        return {label: 1e3 * cpu_s / max(sets, 1) for label, cpu_s in spent.items()}
-
-
-def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
+def _read_back(
+    live_input: FootageInput,
+    bag: Path,
+    began_ns: int,
+    usage: dict[str, Usage],
+    spent_s: Mapping[str, float],
+    diagnostics: dict[str, Mapping[str, str]],
+) -> LiveRun:
+    """Read the bag's figures; ``spent_s`` of processor time of each process since ``began_ns``."""
     session = live_input.session
     clock, stamps = clock_of_bag(bag, session), silhouette_stamps(bag, session)
-    measured_from_ns = meter.began_ns if live_input.in_real_time else 0
+    measured_from_ns = began_ns if live_input.in_real_time else 0
+    measured = max(sum(stamp >= measured_from_ns for stamp in sent) for sent in stamps.values())
     answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in clock]
     sets = [_values(m) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
-    measured = {key for values in sets for key in values if key.endswith("_ms")} - {"spread_ms"}
     ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
     points = [f"{point}_ms" for point in AGE_POINTS] if ages and live_input.in_real_time else []
-    stages = sorted(measured if live_input.in_real_time else measured - AGES)
     tracks = tracks_from_bag(bag, clock.frame_of, may_be_empty=True)
     return LiveRun(
         session=session,
@@ -196,10 +188,9 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         sets_per_s=(len(answers) - 1) / max(1e-9 * (answers[-1] - answers[0]), 1e-9) if answers else 0.0,
         incomplete=sum(bool(values.get("missing")) for values in sets),
         spread_ms=max((float(values["spread_ms"]) for values in sets), default=float("nan")),
-        usage=meter.usage,
-        cpu_ms_per_set=meter.cpu_ms_per_set(max(sum(t >= measured_from_ns for t in sent) for sent in stamps.values())),
-        diagnostics=meter.diagnostics,
-        latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
+        usage=usage,
+        cpu_ms_per_set={name: 1e3 * cpu_s / max(measured, 1) for name, cpu_s in spent_s.items()},
+        diagnostics=diagnostics,
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
         speed=float(live_input.clock.speed),
         tracks={n: track.between(0, clock.frames) for n, track in tracks.items()},

@@ -5,17 +5,15 @@ To be imported where it is used: matplotlib takes a second to load.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from capture_rig.camera import CameraModel
 from capture_rig.video import Video, VideoFile
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
@@ -61,61 +59,37 @@ def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     for name, frames in wanted.items():
         if len(frames):
             paths.append(folder / name)
-            cv2.imwrite(str(paths[-1]), np.vstack(list(_close_ups(evaluated, frames.tolist()))))
+            cv2.imwrite(str(paths[-1]), np.vstack(list(sheets(evaluated, frames.tolist(), close_up=True))))
     return paths
-
-
-def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarray]:
-    """Yield one sheet a frame: its caption, and every camera's image cut out around the body."""
-    for frame, cameras, images, points, truth in _pictures(evaluated, frames):
-        shown, columns = points if truth is None else np.vstack([points, truth]), min(len(cameras), CLOSE_UPS_A_ROW)
-        windows = [Window.around(camera, shown, CLOSE_UP_WIDTH_PX // columns) for camera in cameras]
-        yield _sheet(evaluated, frame, zip(cameras, images, windows, strict=True), points, truth, columns)
-
-
-def _sheet(
-    evaluated: TrackEvaluation,
-    frame: int,
-    views: Iterable[tuple[CameraModel, np.ndarray, Window]],
-    points_world: np.ndarray,
-    truth_world: np.ndarray | None,
-    columns: int,
-) -> np.ndarray:
-    """Return a frame's picture: track and truth over each camera's image, under the caption."""
-    cells = [overlay(camera, image, points_world, truth_world, window) for camera, image, window in views]
-    return captioned(montage(cells, columns, MAX_WIDTH_PX), *caption(evaluated, frame))
-
-
-def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
-    """Frame, cameras, their images, the track's points (15, 3) and the truth's, where it has them."""
-    session, cameras = evaluated.session, evaluated.session.rig.cameras
-    points = evaluated.track.at(np.array(frames)).points_world
-    truth: Sequence[np.ndarray | None] = [None] * len(frames)
-    if session.truth is not None:
-        there = zip(np.isin(frames, session.truth.frames), session.truth.points_at(frames), strict=True)
-        truth = [known if is_there else None for is_there, known in there]
-    footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
-    with suppress(EOFError):  # a container may promise a frame more than it holds
-        for index, images in enumerate(footage):
-            yield frames[index], cameras, images, points[index], truth[index]
 
 
 def write_overlay(path: Path, evaluated: TrackEvaluation, progress: Callable[[int], None] = lambda frame: None) -> Path:
     """Write an mp4 of every frame, cameras side by side: truth white, left limbs blue, right limbs red; caption."""
     with VideoFile(path, evaluated.session.fps) as video:
-        for frame, sheet in enumerate(sheets(evaluated)):
+        for frame, sheet in enumerate(sheets(evaluated, range(evaluated.frames))):
             progress(frame)
             video.write(sheet)
     return path
 
 
-def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
-    """Yield the video's pictures, BGR, all of one even size."""
-    rig = evaluated.session.rig.cameras
-    columns, scale = tiling([camera.width for camera in rig], [camera.height for camera in rig])
-    windows = [Window.whole(camera, scale) for camera in rig]
-    for frame, cameras, images, points, truth in _pictures(evaluated, range(evaluated.frames)):
-        yield _sheet(evaluated, frame, zip(cameras, images, windows, strict=True), points, truth, columns)
+def sheets(evaluated: TrackEvaluation, frames: Sequence[int], close_up: bool = False) -> Iterator[np.ndarray]:
+    """Yield each frame's picture, BGR: track and truth over all cameras' images, under the caption; whole images, all
+    pictures of one even size, or cut out around the body."""
+    session, cameras = evaluated.session, evaluated.session.rig.cameras
+    columns, scale = tiling([camera.width for camera in cameras], [camera.height for camera in cameras])
+    columns = min(len(cameras), CLOSE_UPS_A_ROW) if close_up else columns
+    points = evaluated.track.at(np.array(frames)).points_world
+    truth = None if session.truth is None else session.truth.points_at(frames)
+    footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
+    with suppress(EOFError):  # a container may promise a frame more than it holds
+        for index, images in enumerate(footage):
+            drawn = points[index], None if truth is None else truth[index]
+            shown = np.vstack([each for each in drawn if each is not None])
+            cells = []
+            for camera, image in zip(cameras, images, strict=True):
+                near = Window.around(camera, shown, CLOSE_UP_WIDTH_PX // columns) if close_up else None
+                cells.append(overlay(camera, image, *drawn, near or Window.whole(camera, scale)))
+            yield captioned(montage(cells, columns, MAX_WIDTH_PX), *caption(evaluated, frames[index]))
 
 
 def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
@@ -129,20 +103,14 @@ def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
         return text, sure
     (errors,) = scores.errors_mm[truth.frames == frame]
     worst = int(np.nanargmax(errors))
-    name = POINT_NAMES[worst].replace("_", " ")
-    return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm", sure
+    return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {TITLES[worst]} {errors[worst]:.0f} mm", sure
 
 
 # plots ----------------------------------------------------------------------------------------------------------------
 
 
 OURS, TRUTH, THESIS, UNSURE, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
-ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
-    "neck_elbows": ("neck_x", "neck_y", "left_elbow", "right_elbow"),
-    "shoulders": tuple(f"{side}_shoulder_{axis}" for axis in "xzy" for side in ("left", "right")),
-    "hips": tuple(f"{side}_hip_{axis}" for axis in "xyz" for side in ("left", "right")),
-    "knees": ("left_knee", "right_knee"),
-}
+TITLES = [name.replace("_", " ") for name in POINT_NAMES]
 POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 """The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
 
@@ -150,40 +118,32 @@ POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
     folder.mkdir(parents=True, exist_ok=True)
-    session, track = evaluated.session, evaluated.track
-    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
-    if session.truth is not None:
-        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
-    figures = {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
-    if evaluated.scores is not None and evaluated.session.truth is not None:
+    figures = {"angles": _angles(evaluated)}
+    if evaluated.scores is not None:
         figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
-        figures["errors"] = _distribution(evaluated, evaluated.scores)
-    paths = []
     for name, figure in figures.items():
-        paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1], dpi=100)
-    return paths
+        figure.savefig(folder / f"{name}.png", dpi=100)
+    return [folder / f"{name}.png" for name in figures]
 
 
-Curve = tuple[str, str, float, np.ndarray, np.ndarray]
-"""Label, colour, width of the line, frames (F,) and angles (F, 18) rad."""
-
-
-def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, names: Sequence[str]) -> Figure:
+def _angles(evaluated: TrackEvaluation) -> Figure:
     """Angles over time against the truth (as thesis fig. 7.4 to 7.7)."""
-    rows = -(-len(names) // 2)
-    figure = Figure(figsize=(12, 1.2 + 2.3 * rows), layout="constrained")
-    for axis, name in zip(np.ravel(figure.subplots(rows, 2, sharex=True)), names, strict=True):
-        slot, title = ANGLE_NAMES.index(name), name.replace("_", " ")
+    track, truth = evaluated.track, evaluated.session.truth
+    curves = [("ours", OURS, 1.3, track.frames, track.angles)]  # label, colour, width, frames (F,), angles (F, 18) rad
+    if truth is not None:
+        curves.insert(0, ("truth", TRUTH, 3.5, truth.frames, angle_truth(truth).angles))
+    figure = Figure(figsize=(12, 22), layout="constrained")
+    for slot, axis in enumerate(np.ravel(figure.subplots(9, 2, sharex=True))):
         for label, colour, width, frames, angles in curves:
             seconds, degrees = frames / evaluated.session.fps, unbridged(frames, np.rad2deg(angles[:, slot]))
             axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
             sure = np.where(defined(angles)[:, slot], degrees, np.nan)
             axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
+        title = ANGLE_NAMES[slot].replace("_", " ")
         if evaluated.scores is not None:
             title += f": RMSE {np.rad2deg(evaluated.scores.angles.rmse_rad[slot]):.1f} deg"
         axis.set_title(title, fontsize=10)
-    _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
+    _finish(figure, evaluated, "angles", "angle [deg], dotted where the pose does not determine it")
     return figure
 
 
@@ -199,58 +159,21 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     figure = Figure(figsize=(13, 12), layout="constrained")
     axes = figure.subplots(5, 3, sharex=True, sharey=True)
     assert evaluated.session.truth is not None
-    seconds = evaluated.session.truth.frames / evaluated.session.fps
+    seconds, track = evaluated.session.truth.frames / evaluated.session.fps, evaluated.track
+    unsure = track.states != TRACKING
     for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
         if evaluated.thesis is not None:
             errors, label = evaluated.thesis.errors_mm[:, point], "thesis's method"
             axis.plot(seconds, errors, color=THESIS, linewidth=0.8, alpha=0.7, label=label)
         axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
         axis.axhline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
-        _shade_unsure(axis, evaluated)
-        axis.set_title(f"{_name(point)}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
+        if unsure.any():
+            there, whole = axis.get_xaxis_transform(), (track.frames / evaluated.session.fps, 0, 1, unsure)
+            axis.fill_between(*whole, step="mid", color=UNSURE, alpha=0.3, transform=there, label="not tracking")
+        axis.set_title(f"{TITLES[point]}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
     top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
-    return figure
-
-
-def _shade_unsure(axis: Axes, evaluated: TrackEvaluation) -> None:
-    """Shade the frames in which the tracker does not report that it tracks."""
-    track, fps = evaluated.track, evaluated.session.fps
-    unsure = track.frames[track.states != TRACKING]
-    runs = np.split(unsure, np.flatnonzero(np.diff(unsure) > 1) + 1) if len(unsure) else []
-    for index, run in enumerate(runs):
-        label = "not tracking" if index == 0 else None
-        axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=UNSURE, alpha=0.3, linewidth=0, label=label)
-
-
-def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
-    """Left: the share of errors below any bound; right: each point's mean, median and 95th percentile."""
-    figure = Figure(figsize=(13, 5.5), layout="constrained")
-    curve, bars = figure.subplots(1, 2)
-    methods = [("ours", scores, OURS)]
-    methods += [("thesis's method", evaluated.thesis, THESIS)] if evaluated.thesis is not None else []
-    for label, found, colour in methods:
-        errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
-        share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
-        label = f"{label}: median {found.all_points.median_mm:.0f} mm"
-        curve.plot(errors, share, color=colour, linewidth=2, label=label)
-    curve.axvline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
-    widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
-    curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
-    places = np.arange(len(POINT_ORDER))[::-1]
-    order = list(POINT_ORDER)
-    bars.barh(places, scores.points.mean_mm[order], color=OURS, label="ours: mean")
-    bars.plot(scores.points.p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
-    if evaluated.thesis is not None:
-        mean_mm, label = evaluated.thesis.points.mean_mm[order], "thesis's method: mean"
-        bars.plot(mean_mm, places, "D", color=THESIS, markersize=5, label=label)
-    bars.set_yticks(places, [_name(point) for point in order])
-    bars.set_xlabel("error [mm]")
-    for axis in (curve, bars):
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=9, loc="lower right")
-    figure.suptitle(_title(evaluated, "errors"))
     return figure
 
 
@@ -269,7 +192,3 @@ def _finish(figure: Figure, evaluated: TrackEvaluation, what: str, unit: str) ->
 def _title(evaluated: TrackEvaluation, what: str) -> str:
     mean = "" if evaluated.scores is None else f" (mean error {evaluated.scores.mean_mm:.1f} mm)"
     return f"{evaluated.session.folder.name}: {what}{mean}"
-
-
-def _name(point: int) -> str:
-    return POINT_NAMES[point].replace("_", " ")

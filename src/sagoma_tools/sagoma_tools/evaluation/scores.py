@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -135,12 +133,10 @@ def nees_of(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     them, m^2; NaN where either is unknown, infinite where P claims certainty."""
     known = np.isfinite(errors).all(-1) & np.isfinite(covariance).all((-2, -1))
     out = np.full(errors.shape[:-1], np.nan)
-    certain = known.copy()
-    certain[known] = np.linalg.det(covariance[known]) <= 0.0
-    out[certain] = np.inf
-    regular = known & ~certain
-    solved = np.linalg.solve(covariance[regular], errors[regular][..., None])[..., 0]
-    out[regular] = np.einsum("ni,ni->n", errors[regular], solved)
+    out[known] = np.inf
+    regular = known & (np.linalg.det(np.where(known[..., None, None], covariance, np.eye(DIMENSIONS))) > 0.0)
+    e = errors[regular]
+    out[regular] = np.einsum("ni,ni->n", e, np.linalg.solve(covariance[regular], e[..., None])[..., 0])
     return out
 
 
@@ -184,14 +180,12 @@ class PointScores:
     def of(cls, errors_mm: np.ndarray, centred_mm: np.ndarray, nees: np.ndarray, centred: np.ndarray) -> PointScores:
         """Summarise the columns of errors (F, n) as they are and without offsets, and of their NEES."""
 
-        def each(statistic: Callable[[np.ndarray], Any]) -> np.ndarray:
-            columns = [column[np.isfinite(column)] for column in errors_mm.T]
-            return np.array([statistic(known) if len(known) else np.nan for known in columns])
-
+        known = [column[np.isfinite(column)] for column in errors_mm.T]
+        middle, high = np.transpose([np.percentile(k, [50, 95]) if len(k) else [np.nan, np.nan] for k in known])
         return cls(
             mean_of_known(errors_mm, 0),
-            each(np.median),
-            each(lambda known: np.percentile(known, 95)),
+            middle,
+            high,
             1.0 - share_below(LARGE_ERROR_MM, errors_mm, 0),
             np.sqrt(mean_of_known(errors_mm**2, 0)),
             mean_of_known(centred_mm, 0),
@@ -272,8 +266,8 @@ def score(track: Track, truth: Truth) -> Scores:
     nees, nees_centred = nees_of(errors, aligned.covariance), nees_of(centred, aligned.covariance)
     measured = errors_mm, 1e3 * np.linalg.norm(centred, axis=2), nees, nees_centred
     points, together = PointScores.of(*measured), PointScores.of(*(values.reshape(-1, 1) for values in measured))
-    of_all = {name: values[0] for name, values in vars(together).items()}
     worst_mm = np.nan_to_num(errors_mm).max(axis=1)[np.isfinite(errors_mm).any(axis=1)]
+    of_all = {name: values[0] for name, values in vars(together).items()}
     of_all |= {"over_200mm": share(worst_mm > LARGE_ERROR_MM), "rmse_mm": mean_of_known(points.rmse_mm)}
     return Scores(
         frames=len(truth.frames),

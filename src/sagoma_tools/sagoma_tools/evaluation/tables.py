@@ -17,8 +17,6 @@ from ..graph.ros_link import label_of
 from .scores import AngleScores, PointScores, Scores
 from .track_evaluation import PeopleScores, TrackEvaluation
 
-PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
-"""Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""
 POINT_COLUMNS: Mapping[str, tuple[str, str]] = {
     "mean": ("mean_mm", "{:.1f}"),
     "median": ("median_mm", "{:.1f}"),
@@ -55,6 +53,7 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"called: {_percent(calls.false_alarms)}"
     )
     console.print(_angles(scores.angles))
+    console.print(f"truth: {scores.angles.source}; frames: where it determines the angle (see docs/evaluate.md)")
 
 
 def _percent(share: float) -> str:
@@ -68,20 +67,10 @@ def _cells(scores: PointScores, point: int | tuple[()] = ()) -> list[str]:
 
 
 def _angles(angles: AngleScores) -> Table:
-    title = f"RMSE of the angles, rad (thesis Table 7.1); truth: {angles.source}"
-    table = plain_table(title, ["angle"], ["left", "right", "left deg", "right deg", "left frames", "right frames"])
-    torso = angles.torso_rmse_rad
-    table.add_row("torso", f"{torso:.2f}", "", f"{np.rad2deg(torso):.1f}", "", "100 %", "")
-    for slot, axis in enumerate("xy"):
-        rmse, share = angles.rmse_rad[slot], angles.share_defined[slot]
-        table.add_row(f"neck {axis}", f"{rmse:.2f}", "", f"{np.rad2deg(rmse):.1f}", "", f"{100 * share:.0f} %", "")
-    for slot in PAIRED_ANGLES:
-        name = ANGLE_NAMES[slot].removeprefix("left_").replace("_", " ")
-        rmse, share = angles.rmse_rad[slot : slot + 2], angles.share_defined[slot : slot + 2]
-        radians, degrees = (f"{r:.2f}" for r in rmse), (f"{np.rad2deg(r):.1f}" for r in rmse)
-        table.add_row(name, *radians, *degrees, *(f"{100 * s:.0f} %" for s in share))
-    table.caption = "frames: where the truth determines the angle (see docs/evaluate.md)"
-    table.caption_justify = "left"
+    table = plain_table("RMSE (thesis Table 7.1)", ["angle"], ["rad", "deg", "frames"])
+    rmse_rad, share = (angles.torso_rmse_rad, *angles.rmse_rad), (1.0, *angles.share_defined)
+    for name, rad, defined in zip(("torso", *ANGLE_NAMES), rmse_rad, share, strict=True):
+        table.add_row(name.replace("_", " "), f"{rad:.2f}", f"{np.rad2deg(rad):.1f}", f"{100 * defined:.0f} %")
     return table
 
 
@@ -97,12 +86,8 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
     states = ", ".join(f"{state} in {count} frames" for state, count in evaluated.states.items())
     switches = "" if evaluated.switches is None else f"; {evaluated.switches} identity switches"
     console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}{switches}")
-    resting = int(evaluated.jitter.at_rest.sum())
-    console.print(
-        f"jitter at rest: {evaluated.jitter.rms_mm:.2f} mm rms ({resting} points in frames)"
-        if resting
-        else "jitter at rest: unknown, nothing rests long enough"
-    )
+    resting = int(evaluated.at_rest.sum())
+    console.print(f"jitter at rest: {evaluated.jitter_mm:.2f} mm rms ({resting} points in frames)")
     if evaluated.scores is not None and evaluated.thesis is not None:
         ratio = evaluated.thesis.mean_mm / evaluated.scores.mean_mm
         console.print(
@@ -115,19 +100,22 @@ def print_people(console: Console, people: PeopleScores) -> None:
     """Print a row for each person of a session with several truths, where the rig shows that person."""
     columns = "numbers", *POINT_COLUMNS, "flagged", "alarms", "frames", "switches"
     table = plain_table("every person, where the rig shows them", ["truth"], columns)
-    for count, person in enumerate(people.persons, 1):
-        name, numbers = f"person {count}", "+".join(map(str, person.numbers)) or "-"
-        scores = person.scores
+    who = people.who
+    for count, (of_person, scores, switches) in enumerate(
+        zip(who.numbers, people.scores, who.switches, strict=True), 1
+    ):
+        name, numbers = f"person {count}", "+".join(map(str, of_person)) or "-"
         if scores is None:
             table.add_row(name, numbers, "no track")
             continue
         called = _percent(scores.calls.flagged_of_bad), _percent(scores.calls.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
-        table.add_row(name, numbers, *_cells(scores.all_points), *called, frames, str(person.switches))
+        table.add_row(name, numbers, *_cells(scores.all_points), *called, frames, str(switches))
     console.print(table)
-    who, switches = people.who, sum(person.switches or 0 for person in people.persons)
     nobody = f"; tracks of nobody: {', '.join(map(str, who.ghosts))}" if who.ghosts else ""
-    console.print(f"{switches} identity switches; {who.ghost_frames} frames with a track of nobody{nobody}")
+    console.print(
+        f"{sum(filter(None, who.switches))} identity switches; {who.ghost_frames} frames with a track of nobody{nobody}"
+    )
 
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
@@ -143,23 +131,14 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
     console.print(table)
 
 
-def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> None:
-    """Print one row a stage: median, 95th percentile, largest."""
-    console.print(_percentiles("time of each stage", "stage", latency_ms, 2))
-
-
 def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -> None:
     """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
-    console.print(_percentiles("since exposure", "point", ages_ms, 1))
+    table = plain_table("since exposure", ["point"], ["p50 ms", "p95 ms", "max ms"])
+    for name, values in ages_ms.items():
+        table.add_row(name.removesuffix("_ms"), *(f"{v:.1f}" for v in np.percentile(values, [50, 95, 100])))
+    console.print(table)
     p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
     console.print(f"95 % within {budget_text(p95_ms, hz)}")
-
-
-def _percentiles(title: str, first: str, measured_ms: Mapping[str, np.ndarray], digits: int) -> Table:
-    table = plain_table(title, [first], ["p50 ms", "p95 ms", "max ms"])
-    for name, values in measured_ms.items():
-        table.add_row(name.removesuffix("_ms"), *(f"{v:.{digits}f}" for v in np.percentile(values, [50, 95, 100])))
-    return table
 
 
 def print_nodes(
@@ -167,18 +146,13 @@ def print_nodes(
     usage: Mapping[str, Usage],
     cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
-    in_real_time: bool,
 ) -> None:
-    """Print one row a process and a node: memory and its peak, processor time a frame set; results, and the latency
-    where stamps are of this machine's time."""
-    memory_columns = "resident MiB", "peak MiB"
-    latencies = {"latency p50 ms": "latency_p50_ms", "p95 ms": "latency_p95_ms"} if in_real_time else {}
-    table = plain_table("nodes", ["node"], [*memory_columns, "cpu ms a set", "results", *latencies])
-    values = {label_of(name): report for name, report in diagnostics.items()}
-    for label in dict.fromkeys([*usage, *values]):
+    """Print one row a process and a node: memory and its peak, processor time a frame set; results."""
+    table = plain_table("nodes", ["node"], ["resident MiB", "peak MiB", "cpu ms a set", "results"])
+    results = {label_of(name): report.get("results", "") for name, report in diagnostics.items()}
+    for label in dict.fromkeys([*usage, *results]):
         used = usage.get(label)  # None of a node that shares its process
-        memory = (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}") if used is not None else ("", "")
+        memory = ("", "") if used is None else (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}")
         cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
-        report = values.get(label, {})
-        table.add_row(label, *memory, cpu, *(report.get(key, "") for key in ("results", *latencies.values())))
+        table.add_row(label, *memory, cpu, results.get(label, ""))
     console.print(table)

@@ -26,46 +26,36 @@ STILL_M = 0.010
 """A point rests at a frame when it stays this close to where it is then, for the whole window around it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Jitter:
-    """rms of the high-pass-filtered motion of the points at rest.
+def jitter(track: Track, fps: float, truth: Truth | None = None) -> tuple[float, np.ndarray]:
+    """Return the rms, mm, of the high-pass-filtered motion of the points at rest, and how often each was (15,).
 
     With a centred moving average of :data:`WINDOW_S` (2 h + 1 frames), a point's jitter at frame k is
     ``x_k - mean(x_{k-h} .. x_{k+h})``. It counts at frame k when the point rests there: when the truth's point (without
     a truth, the moving average of the track's own) stays within :data:`STILL_M` of its place at k from k - h to k + h.
+    Frames that the track lacks, and truth that is unknown, count nowhere.
 
-    rms_mm : over all points and frames that count, three axes together: white noise of sd s an axis gives
-    s sqrt(3) sqrt(1 - 1 / (2 h + 1)), NaN where no point ever rests; at_rest : (15,) how many frames counted.
+    The rms is over all points and frames that count, three axes together: white noise of sd s an axis gives
+    s sqrt(3) sqrt(1 - 1 / (2 h + 1)), NaN where no point ever rests.
     """
-
-    rms_mm: float
-    at_rest: np.ndarray
-
-
-def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
-    """Return the track's jitter at rest; frames that it lacks (and truth that is unknown) count nowhere."""
-    first, last = (int(track.frames.min()), int(track.frames.max())) if len(track) else (0, -1)
-    frames = np.arange(first, last + 1)
+    if not len(track):
+        return float("nan"), np.zeros(15, int)
+    frames = np.arange(track.frames.min(), track.frames.max() + 1)
     points = track.at(frames).points_world
     half = max(1, round(0.5 * WINDOW_S * fps))
     smooth = _windows(points, half).mean(-1)
     reference = smooth if truth is None else truth.points_at(frames)
     away = np.linalg.norm(_windows(reference, half) - reference[..., None], axis=2)
-    counts = (away.max(-1, initial=0.0) < STILL_M) & np.isfinite(smooth).all(-1)
-    squared = np.where(counts, ((points - smooth) ** 2).sum(-1), 0.0)
-    rms_m = float(np.sqrt(squared.sum() / counts.sum())) if counts.any() else float("nan")
-    return Jitter(1e3 * rms_m, counts.sum(0))
+    counts = (away.max(-1) < STILL_M) & np.isfinite(smooth).all(-1)
+    return 1e3 * float(np.sqrt(mean_of_known(((points - smooth) ** 2).sum(-1)[counts]))), counts.sum(0)
 
 
 def _windows(points: np.ndarray, half: int) -> np.ndarray:
     """(F, 15, 3, 2 half + 1) the frames around each frame; NaN beyond the ends."""
-    if len(points) == 0:
-        return np.empty((0, *points.shape[1:], 2 * half + 1))
     padded = np.pad(points, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
 
 
-TRACKING = "tracking"
+TRACKING, LOST = str(Tracking.TRACKING), str(Tracking.LOST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +65,7 @@ class TrackEvaluation:
     frames : frames of footage, fps of them a second.
     states : the tracker's state -> in how many frames.
     time_to_track_s : from the first frame to the first in state "tracking", NaN when there is none.
+    jitter_mm, at_rest : as :func:`jitter` measures it.
     scores : against the truth, where the session has one. thesis : those of the thesis's method on the same hulls.
     switches : identity switches of the person; None without a truth, or of somebody whom no track follows.
     """
@@ -84,24 +75,23 @@ class TrackEvaluation:
     track: Track
     states: dict[str, int]
     time_to_track_s: float
-    jitter: Jitter
+    jitter_mm: float
+    at_rest: np.ndarray
     scores: Scores | None
     thesis: Scores | None = None
     switches: int | None = None
 
     def figures(self) -> dict[str, object]:
         """Name to number, for a line of JSON; without a truth, those that need none."""
-        whole: dict[str, object] = {"frames": self.frames, "tracked": len(self.track)}
-        whole |= dict.fromkeys(("flagged_of_bad", "false_alarms"))
-        if self.scores is not None:
-            whole |= self.scores.figures()
-        if self.thesis is not None:
-            whole["thesis_mean_mm"] = number(self.thesis.mean_mm)
-        whole["identity_switches"] = self.switches
-        whole["time_to_track_s"] = number(self.time_to_track_s, 3)
-        whole["jitter_mm"] = number(self.jitter.rms_mm, 2)
-        whole["states"] = self.states
-        return whole
+        return {
+            **{"frames": self.frames, "tracked": len(self.track), "flagged_of_bad": None, "false_alarms": None},
+            **(self.scores.figures() if self.scores is not None else {}),
+            **({"thesis_mean_mm": number(self.thesis.mean_mm)} if self.thesis is not None else {}),
+            "identity_switches": self.switches,
+            "time_to_track_s": number(self.time_to_track_s, 3),
+            "jitter_mm": number(self.jitter_mm, 2),
+            "states": self.states,
+        }
 
 
 def evaluate_track(
@@ -110,15 +100,15 @@ def evaluate_track(
     """Score a session's track, and the one of the thesis's method if there is one; ``switches`` : of its person."""
     truth = session.truth
     return TrackEvaluation(
-        session=session,
-        frames=frames,
-        track=track,
-        states=dict(Counter(track.states.tolist())),
-        time_to_track_s=time_to_track_s(track, session.fps),
-        jitter=jitter(track, session.fps, truth),
-        scores=None if truth is None else score(track, truth),
-        thesis=None if truth is None or thesis is None or not len(thesis) else score(thesis, truth),
-        switches=switches,
+        session,
+        frames,
+        track,
+        dict(Counter(track.states.tolist())),
+        time_to_track_s(track, session.fps),
+        *jitter(track, session.fps, truth),
+        None if truth is None else score(track, truth),
+        None if truth is None or thesis is None or not len(thesis) else score(thesis, truth),
+        switches,
     )
 
 
@@ -131,7 +121,6 @@ def time_to_track_s(track: Track, fps: float) -> float:
 # several persons ------------------------------------------------------------------------------------------------------
 
 
-LOST, SURE = str(Tracking.LOST), str(Tracking.TRACKING)
 FIRST_S = 1.0
 GHOST_M = 0.5  # a track that is farther from every truth, mean of its points, follows nobody
 SWITCHED_FOR_S = 0.1  # so long another truth is nearer before it counts: in a hug two persons share a place
@@ -154,49 +143,37 @@ class Identities:
 
 
 @dataclass(frozen=True, eq=False)
-class PersonScores:
-    """One truth and the tracks that follow it.
-
-    frames : of the truth. numbers, switches : as in :class:`Identities`.
-    time_to_track_s : of the first track, NaN without one. scores : of the first track, None without one.
-    """
-
-    frames: int
-    numbers: tuple[int, ...]
-    switches: int | None
-    time_to_track_s: float
-    scores: Scores | None
-
-    def figures(self) -> dict[str, Any]:
-        """Name to number, for a line of JSON; None where nothing is known."""
-        scores = self.scores
-        return {
-            "numbers": list(self.numbers),
-            "frames": self.frames,
-            "tracked": 0 if scores is None else scores.tracked,
-            **{name: None if scores is None else number(scores.overall[name]) for name in OVERALL},
-            "time_to_track_s": number(self.time_to_track_s, 3),
-            "identity_switches": self.switches,
-        }
-
-
-@dataclass(frozen=True, eq=False)
 class PeopleScores:
-    """Every person's scores, in the order of the truths."""
+    """The truths, who follows them, and of each the scores of its first track (None without one) and the time until
+    that tracks, s."""
 
-    persons: tuple[PersonScores, ...]
+    truths: Sequence[Truth]
     who: Identities
+    scores: tuple[Scores | None, ...]
+    times_s: tuple[float, ...]
 
     def figures(self, thesis: PeopleScores | None = None) -> dict[str, Any]:
         """Name to number, for a line of JSON: one record a person, and the mean of each figure over those who have it.
 
         ``thesis`` : the scores of the thesis's method on the same hulls.
         """
-        records = [person.figures() for person in self.persons]
-        if thesis is not None:
-            for record, other in zip(records, thesis.persons, strict=True):
-                record["thesis_mean_mm"] = other.figures()["mean_mm"]
-        whole = {name: _mean([record[name] for record in records]) for name in records[0] if name != "numbers"}
+        records: list[dict[str, Any]] = [
+            {
+                "numbers": list(numbers),
+                "frames": len(truth.frames),
+                "tracked": 0 if scores is None else scores.tracked,
+                **{name: None if scores is None else number(scores.overall[name]) for name in OVERALL},
+                "time_to_track_s": number(time_s, 3),
+                "identity_switches": switches,
+            }
+            for truth, numbers, switches, scores, time_s in zip(
+                self.truths, self.who.numbers, self.who.switches, self.scores, self.times_s, strict=True
+            )
+        ]
+        for record, other in zip(records, thesis.scores, strict=True) if thesis is not None else ():
+            record["thesis_mean_mm"] = None if other is None else number(other.mean_mm)
+        known = {name: [r[name] for r in records if r[name] is not None] for name in records[0] if name != "numbers"}
+        whole = {name: number(float(np.mean(values))) if values else None for name, values in known.items()}
         return {**whole, "persons": records, "ghosts": list(self.who.ghosts), "ghost_frames": self.who.ghost_frames}
 
 
@@ -208,13 +185,15 @@ def score_people(
     Where a track says that it has lost its person it is not looked at: that person may have left. With ``visibility``
     errors count of those points alone that the rig shows.
     """
-    who, persons = identify(tracks, truths, fps), []
-    for truth, numbers, switches in zip(truths, who.numbers, who.switches, strict=True):
-        first = _believed(tracks[numbers[0]]) if numbers else Track.of_states([])
-        seen = truth if visibility is None else shown(truth, visibility)
-        scores = score(first, seen) if np.isin(truth.frames, first.frames).any() else None
-        persons.append(PersonScores(len(truth.frames), numbers, switches, time_to_track_s(first, fps), scores))
-    return PeopleScores(tuple(persons), who)
+    who = identify(tracks, truths, fps)
+    firsts = [_believed(tracks[numbers[0]]) if numbers else Track.of_states([]) for numbers in who.numbers]
+    scores = tuple(
+        score(first, truth if visibility is None else shown(truth, visibility))
+        if np.isin(truth.frames, first.frames).any()
+        else None
+        for truth, first in zip(truths, firsts, strict=True)
+    )
+    return PeopleScores(truths, who, scores, tuple(time_to_track_s(first, fps) for first in firsts))
 
 
 def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Identities:
@@ -228,7 +207,7 @@ def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -
         int(frame)
         for person, rows in distances.items()
         for frame, state, row in zip(tracks[person].frames, tracks[person].states, rows, strict=True)
-        if state == SURE and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
+        if state == TRACKING and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
     }
     return Identities(
         tuple(numbers),
@@ -272,17 +251,11 @@ def assign(distances: Mapping[int, np.ndarray], fps: float) -> dict[int, int | N
 
 def changes(rows: np.ndarray, patience: int) -> int:
     """Count how often the nearest truth of a track's rows (F, truths) changes, and stays so for some frames."""
-    known = rows[np.isfinite(rows).any(axis=1)]
-    if len(known) == 0:
-        return 0
-    nearest, current, since, count = np.nanargmin(known, axis=1), -1, 0, 0
-    for truth in nearest:
-        if current < 0 or truth == current:
-            current, since = int(truth), 0
-            continue
-        since += 1
-        if since >= patience:
-            current, since, count = int(truth), 0, count + 1
+    current, since, count = -1, 0, 0
+    for truth in np.nanargmin(rows[np.isfinite(rows).any(axis=1)], axis=1).tolist():
+        since = since + 1 if truth != current >= 0 else 0
+        if current < 0 or since >= patience:
+            current, since, count = truth, 0, count + (current >= 0)
     return count
 
 
@@ -293,9 +266,3 @@ def main_track(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float)
         return first
     of_first = identify(tracks, truths, fps).numbers[0]
     return tracks[of_first[0]] if of_first else first
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    """Over those that are known; None of none."""
-    known = [value for value in values if value is not None]
-    return number(float(np.mean(known))) if known else None

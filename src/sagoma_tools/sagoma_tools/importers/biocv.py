@@ -8,10 +8,8 @@ the names of :data:`MARKERS` or of a file of the user's.
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -59,22 +57,13 @@ MARKERS: Mapping[str, tuple[tuple[str, ...], ...]] = {
 there."""
 
 
-@dataclass(frozen=True)
-class Summary:
-    """What was written: cameras in order, frames of the shortest video, frames with a complete truth, markers taken."""
-
-    cameras: tuple[str, ...]
-    frames: int
-    frames_with_truth: int
-    markers: Mapping[str, tuple[str, ...]]
-
-
 def import_trial(
     trial: Path, folder: Path, calibration: Path | None = None, markers: Path | None = None, mocap_delay_s: float = 0.0
-) -> Summary:
-    """Write the session folder ``folder`` of the trial's videos; it appears whole or not at all.
+) -> list[str]:
+    """Write the session folder ``folder`` of the trial's videos, which appears whole or not at all, and say what that
+    is, line by line.
 
-    calibration : folder of the calibration files; else they are looked for beside the videos and above them.
+    calibration : folder of the calibration files; else they are looked for in the participant's folder.
     markers : YAML, point: [marker, ...]. mocap_delay_s : time of the first mocap frame after the first image, s.
     World frame: the data set's, z up; metres. Raises InputError naming the file.
     """
@@ -87,11 +76,8 @@ def import_trial(
     points = {name: _at_frames(mocap, labels, frames, fps, mocap_delay_s) for name, labels in chosen.items()}
     known = np.isfinite(np.hstack(list(points.values()))).all(axis=1)
     with replaced_folder(folder) as partial:
-        for video in videos:  # not decoded again, nor copied where the disk allows it
-            try:
-                os.link(video, partial / (names[video] + video.suffix.lower()))
-            except OSError:
-                shutil.copyfile(video, partial / (names[video] + video.suffix.lower()))
+        for video in videos:  # not decoded again
+            shutil.copyfile(video, partial / (names[video] + video.suffix.lower()))
         seen = np.concatenate(list(points.values()))
         seen = seen[np.isfinite(seen).all(axis=1)]
         save_rig(Rig(cameras, volume_around(seen) if len(seen) else default_volume(cameras)), partial / "rig.yaml")
@@ -100,7 +86,11 @@ def import_trial(
         of_points = {name: list(labels) for name, labels in chosen.items()}
         source = f"BioCV, {trial.resolve().parent.name} {trial.name}"
         save_description(partial, fps, source, "biocv", cameras=of_cameras, markers=of_points)
-    return Summary(tuple(names.values()), frames, int(known.sum()), chosen)
+    return [
+        f"{trial.name}: {frames} frames of {', '.join(names.values())}",
+        *(f"{point}: {', '.join(labels)}" for point, labels in chosen.items()),
+        f"all markers are there in {known.sum()} frames ({known.mean():.0%})",
+    ]
 
 
 def read_calibration(path: Path, video: Path, name: str) -> CameraModel:
@@ -138,9 +128,7 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
     unknown = [name for name, labels in chosen.items() if labels is None]
     if unknown:
         what = f"has no markers for {', '.join(unknown)} by the names that are known; it has {', '.join(mocap.column)}"
-        remedy = (
-            f"Write a YAML file with lines such as '{unknown[0]}: [{next(iter(mocap.column))}]', give it to --markers."
-        )
+        remedy = f"Give --markers a YAML file with lines such as '{unknown[0]}: [{next(iter(mocap.column))}]'."
         raise InputError(what, where=str(mocap.path), remedy=remedy)
     return {name: labels for name, labels in chosen.items() if labels is not None}
 
@@ -164,16 +152,15 @@ def _videos(trial: Path) -> list[Path]:
 
 
 def _calibration(video: Path, folder: Path | None) -> Path:
-    """Return the file whose name up to the first dot is the video's, and that is no video."""
-    trial = video.parent
-    above = sorted(path for path in trial.resolve().parent.iterdir() if path.is_dir() and "calib" in path.name.lower())
-    folders = [folder] if folder is not None else [trial, trial.resolve().parent, *above]
-    for place in folders:
-        for path in sorted(place.iterdir()) if place.is_dir() else ():
-            if path.is_file() and path.name.split(".")[0] == video.stem and path.suffix.lower() not in VIDEO_SUFFIXES:
-                return path
-    looked = ", ".join(map(str, folders))
-    raise InputError(f"no calibration of {video.name} is there", where=looked, remedy="Give its folder: --calibration.")
+    """Return the file in the folder, or anywhere in the participant's, whose name up to the first dot is the video's,
+    and that is no video."""
+    place = folder or video.resolve().parents[1]
+    named = (path for path in sorted(place.rglob(f"{video.stem}.*")) if path.is_file())
+    found = next((path for path in named if path.suffix.lower() not in VIDEO_SUFFIXES), None)
+    if found is None:
+        what = f"no calibration of {video.name} is there"
+        raise InputError(what, where=str(place), remedy="Give its folder: --calibration.")
+    return found
 
 
 def _rate_and_length(videos: list[Path]) -> tuple[float, int]:

@@ -113,11 +113,7 @@ def pose_of(R: np.ndarray, translation_mm: np.ndarray, path: Path, meaning: str)
 
 def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
     """Return the named measures of a ``.mp`` file, mm. Raises InputError naming the file and the missing line."""
-    try:
-        text = path.read_text(encoding="latin-1")
-    except OSError as error:
-        remedy = "It lies in Mocap_Data beside the .c3d files."
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
+    text = read_text(path, "It lies in Mocap_Data beside the .c3d files.")
     measures = {name: float(value) for name, value in LINE.findall(text)}
     missing = [name for name in names if name not in measures]
     if missing:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ from capture_rig.video import Video, VideoFile
 from .formats import (
     COPY_AGAIN,
     FIRST_USABLE_FRAME,
-    CommonTime,
     Mocap,
     common_time,
     read_c3d,
@@ -31,7 +29,7 @@ from .formats import (
     volume_around,
     write_truth_file,
 )
-from .humaneva_joints import Joints, joints, markers_mm, measures
+from .humaneva_joints import joints, markers_mm, measures
 
 CAMERAS = ("C1", "C2", "C3", "BW1", "BW2", "BW3", "BW4")
 """Colour before grey cameras: the order in which the data set's own code takes them."""
@@ -46,32 +44,25 @@ class Trial:
     action: str
     number: int
 
-    def __post_init__(self) -> None:
-        if not (self.root / self.subject).is_dir():
-            subjects = sorted(p.name for p in self.root.glob("S[0-9]") if p.is_dir())
-            have = f"It has {', '.join(subjects)}." if subjects else "Give the folder that holds S1, S2, S3, S4."
-            raise InputError(f"has no folder '{self.subject}'", where=str(self.root), remedy=have)
-
     def __str__(self) -> str:
         return f"{self.subject} {self.action}_{self.number}"
 
     def video(self, camera: str) -> Path:
-        return self._existing(self.folder / "Image_Data" / f"{self.action}_{self.number}_({camera}).avi")
+        return self._existing("Image_Data", f"{self.action}_{self.number}_({camera}).avi")
 
     def calibration(self, camera: str) -> Path:
-        return self._existing(self.folder / "Calibration_Data" / f"{camera}.cal")
+        return self._existing("Calibration_Data", f"{camera}.cal")
 
-    def offsets(self) -> dict[str, Path]:
-        """Return the ``.ofs`` file of every camera that has one for this trial."""
-        paths = {c: self.folder / "Sync_Data" / f"{self.action}_{self.number}_({c}).ofs" for c in CAMERAS}
-        found = {camera: path for camera, path in paths.items() if path.is_file()}
-        if not found:
-            self._existing(paths["C1"])
-        return found
+    def offset(self, camera: str) -> Path:
+        return self._existing("Sync_Data", f"{self.action}_{self.number}_({camera}).ofs")
+
+    def has_offset(self, camera: str) -> bool:
+        """Return whether there is an ``.ofs`` file of the camera: not every trial has those of all."""
+        return (self.root / self.subject / "Sync_Data" / f"{self.action}_{self.number}_({camera}).ofs").is_file()
 
     @property
     def mocap(self) -> Path:
-        return self.folder / "Mocap_Data" / f"{self.action}_{self.number}.c3d"
+        return self.root / self.subject / "Mocap_Data" / f"{self.action}_{self.number}.c3d"
 
     def backgrounds(self, camera: str) -> list[Path]:
         """Return the movies of the empty room for a camera, at least one."""
@@ -82,27 +73,13 @@ class Trial:
             raise InputError(f"has no Background_*_({camera}).avi", where=str(folder), remedy=remedy)
         return found
 
-    @property
-    def folder(self) -> Path:
-        return self.root / self.subject
-
-    def _existing(self, path: Path) -> Path:
-        if path.is_file():
-            return path
-        pattern = re.sub(r"\([^)]*\)", "(*)", path.name).replace(f"{self.action}_{self.number}_", "*_")
-        there = sorted({re.sub(r"_\(.*", "", p.stem) for p in path.parent.glob(pattern)})
-        folder = path.parent.name
-        remedy = f"{folder} has {', '.join(there)}." if there else f"Unpack {folder} of the data set."
-        raise InputError("is not there", where=str(path), remedy=remedy)
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What was written: frames, how many of them have a truth, each camera's movie of the empty room."""
-
-    frames: int
-    frames_with_truth: int
-    empty_rooms: dict[str, str]
+    def _existing(self, kind: str, name: str) -> Path:
+        folder = self.root / self.subject / kind
+        if not (folder / name).is_file():
+            there = ", ".join(sorted(path.stem for path in folder.glob("*" + Path(name).suffix)))
+            remedy = f"{self.subject} has {there}." if there else f"Unpack {kind} of {self.subject} there."
+            raise InputError("is not there", where=str(folder / name), remedy=remedy)
+        return folder / name
 
 
 def import_trial(
@@ -112,8 +89,10 @@ def import_trial(
     frames: tuple[int, int] | None = None,
     with_truth: bool = True,
     progress: Callable[[int], None] = lambda done: None,
-) -> Summary:
-    """Write the session folder ``folder``; it appears whole or not at all. Raises InputError naming the file.
+) -> list[str]:
+    """Write the session folder ``folder``, which appears whole or not at all, and say what that is, line by line.
+
+    Raises InputError naming the file.
 
     cameras : by the data set's names. frames : common frames (first, last), counted from 1, or None for all.
     World frame: Vicon's, z up, the floor at z = 0; metres.
@@ -122,22 +101,24 @@ def import_trial(
     if first < FIRST_USABLE_FRAME or last < first:
         what = f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on"
         raise InputError(what, where="--frames", remedy="The first five frames of a movie all show the same image.")
-    time = common_time({camera: read_ofs(path) for camera, path in trial.offsets().items()})
-    sources = {camera: _source(trial, time, camera, first, f"cam{n:02d}") for n, camera in enumerate(cameras, 1)}
+    offsets = {c: read_ofs(trial.offset(c)) for c in CAMERAS if c in cameras or trial.has_offset(c)}
+    time = common_time(offsets)
+    sources = {
+        c: Source(trial.video(c), time.image(c, first), trial.backgrounds(c), f"cam{n:02d}", c.startswith("BW"))
+        for n, c in enumerate(cameras, 1)
+    }
     models = tuple(read_cal(trial.calibration(c), one.name, *_header(one).size_px) for c, one in sources.items())
-    mocap = read_c3d(trial.mocap) if with_truth else None
-    beside = trial.mocap.with_name("Static.c3d"), trial.mocap.with_name(f"{trial.subject}.mp")
-    sizes = measures(read_c3d(beside[0]), beside[1]) if with_truth else None
-    if mocap is not None and mocap.rate_hz > 0:
+    fps, mocap, sizes = _header(next(iter(sources.values()))).fps, None, None
+    if with_truth:
+        mocap, folder_of = read_c3d(trial.mocap), trial.mocap.parent
+        sizes = measures(read_c3d(folder_of / "Static.c3d"), folder_of / f"{trial.subject}.mp")
         fps = mocap.rate_hz / time.mocap_per_frame
-    else:
-        fps = _header(next(iter(sources.values()))).fps
     known = 0
     with replaced_folder(folder) as partial:
         count, empty_rooms = copy_footage(sources, last - first + 1 if frames else None, partial, fps, progress)
         instants = time.mocap(np.arange(first, first + count))
         if mocap is not None and sizes is not None:
-            known = _write_truth(partial / "truth.csv", joints(mocap, instants, sizes), trial)
+            known = _write_truth(partial / "truth.csv", *joints(mocap, instants, *sizes), trial)
         save_rig(Rig(models, _volume(models, mocap, instants)), partial / "rig.yaml")
         of_cameras = {
             source.name: {"name": camera, "first_image": source.first_image, "background": empty_rooms[camera]}
@@ -146,16 +127,11 @@ def import_trial(
         mocap_from = round(float(instants[0]), 4)
         about = {"cameras": of_cameras, "common_frames": [first, first + count - 1], "first_mocap_frame": mocap_from}
         save_description(partial, fps, f"HumanEva-I, {trial}", "humaneva", **about)
-    return Summary(count, known, empty_rooms)
-
-
-def _source(trial: Trial, time: CommonTime, camera: str, first_frame: int, name: str) -> Source:
-    if camera not in time.first_image:
-        what = f"has no .ofs file of camera {camera} for {trial}"
-        remedy = f"It has those of {', '.join(time.first_image)}."
-        raise InputError(what, where=str(trial.folder / "Sync_Data"), remedy=remedy)
-    first_image = time.image(camera, first_frame)
-    return Source(trial.video(camera), first_image, trial.backgrounds(camera), name, camera.startswith("BW"))
+    return [
+        f"{trial}: {count} frames of {', '.join(cameras)}",
+        *(f"empty room of {camera}: {room}" for camera, room in empty_rooms.items()),
+        *([f"motion capture is complete in {known} of them ({known / count:.0%})"] if with_truth else []),
+    ]
 
 
 def _header(source: Source) -> Video:
@@ -164,16 +140,16 @@ def _header(source: Source) -> Video:
         return movie
 
 
-def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
+def _write_truth(path: Path, points_mm: dict[str, np.ndarray], valid: np.ndarray, trial: Trial) -> int:
     """Rows from the first known frame on, so that a track can start at the first row; unknown cells stay empty."""
-    if not found.valid.any():
+    if not valid.any():
         what = f"no imported frame of {trial} has complete motion capture"
         remedy = "Import other frames, or footage alone with --no-truth."
         raise InputError(what, where=str(trial.mocap), remedy=remedy)
-    start = int(found.valid.argmax())
-    points = {n: np.where(found.valid[:, None], p, np.nan)[start:] / 1000.0 for n, p in found.points_mm.items()}
-    write_truth_file(path, np.arange(start, len(found.valid)), points)
-    return int(found.valid.sum())
+    start = int(valid.argmax())
+    points = {name: np.where(valid[:, None], one, np.nan)[start:] / 1000.0 for name, one in points_mm.items()}
+    write_truth_file(path, np.arange(start, len(valid)), points)
+    return int(valid.sum())
 
 
 def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np.ndarray) -> Volume:
@@ -249,23 +225,20 @@ def copy_footage(
     image. Raises InputError when a movie ends too early.
     """
     rooms: dict[str, Path] = {}
-    movies = {camera: read_images(one.movie, one.grey, one.first_image) for camera, one in sources.items()}
+    movies = [read_images(one.movie, one.grey, one.first_image) for one in sources.values()]
     done = 0
     with ExitStack() as stack:
-        files = {c: stack.enter_context(VideoFile(folder / (one.name + LOSSLESS), fps)) for c, one in sources.items()}
-        while count is None or done < count:
-            images = {camera: image for camera, movie in movies.items() if (image := next(movie, None)) is not None}
-            ended = [source for camera, source in sources.items() if camera not in images]
-            if ended and count is None and done:
-                break
-            if ended:
-                what = f"ends after {ended[0].first_image - 1 + done} images, {(count or 1) - done} too early"
-                raise InputError(what, where=str(ended[0].movie), remedy="Import fewer frames.")
-            rooms = rooms or {camera: nearest_room(sources[camera], image) for camera, image in images.items()}
-            for camera, image in images.items():
-                files[camera].write(image)
+        files = [stack.enter_context(VideoFile(folder / (one.name + LOSSLESS), fps)) for one in sources.values()]
+        for images in islice(zip(*movies, strict=False), count):
+            named = zip(sources.items(), images, strict=True)
+            rooms = rooms or {camera: nearest_room(source, image) for (camera, source), image in named}
+            for file, image in zip(files, images, strict=True):
+                file.write(image)
             done += 1
             progress(done)
+    if done < (count or 1):
+        what = f"a movie ends after {done} common frames, {(count or 1) - done} too early"
+        raise InputError(what, where=str(next(iter(sources.values())).movie.parent), remedy="Import fewer frames.")
     for camera, room in rooms.items():
         with VideoFile(folder / f"{sources[camera].name}_background{LOSSLESS}", fps) as footage:
             for image in islice(read_images(room, sources[camera].grey, FIRST_USABLE_FRAME), MAX_ROOM_IMAGES):

@@ -82,47 +82,35 @@ MARKER_RADIUS_MM = 7.0
 MEASURES = ("LShoulderOffset", "RShoulderOffset")
 
 
-@dataclass(frozen=True)
-class Measures:
-    """Sizes of a subject, mm: radius of the chest, and each shoulder's offset."""
-
-    chest_radius_mm: float
-    shoulder_offset_mm: dict[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Joints:
-    """Points by name, each (F, 3) mm, Vicon's world; ``valid`` (F,) says where the motion capture is complete."""
-
-    points_mm: dict[str, np.ndarray]
-    valid: np.ndarray
-
-
 def markers_mm(mocap: Mocap) -> list[np.ndarray]:
     """The tracks (T, 3), mm, of the 39 markers; NaN where one was not seen. Raises InputError for a missing one."""
     return [mocap.track_mm(*names.split()) for names in MARKERS]
 
 
-def measures(static: Mocap, mp: Path) -> Measures:
-    """Return a subject's sizes from the trial in which it stands still and from its ``.mp`` file."""
+def measures(static: Mocap, mp: Path) -> tuple[float, dict[str, float]]:
+    """Return a subject's sizes, mm, from the trial in which it stands still and from its ``.mp`` file: radius of the
+    chest, and each shoulder's offset."""
     widths_mm = np.linalg.norm(static.track_mm("LSHO") - static.track_mm("RSHO"), axis=1)
     if np.isnan(widths_mm).all():
         what = "both shoulder markers (LSHO, RSHO) are never seen together"
         raise InputError(what, where=str(static.path), remedy=COPY_AGAIN)
-    offset, chest_mm = read_mp(mp, MEASURES), float(np.nanmean(widths_mm)) / 2 - MARKER_RADIUS_MM
-    return Measures(chest_mm, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})
+    offset = read_mp(mp, MEASURES)
+    return float(np.nanmean(widths_mm)) / 2 - MARKER_RADIUS_MM, {name[0]: offset[name] for name in MEASURES}
 
 
-def joints(mocap: Mocap, positions: np.ndarray, sizes: Measures) -> Joints:
-    """Return the joints at 1-based mocap positions (F,)."""
+def joints(
+    mocap: Mocap, positions: np.ndarray, chest_radius_mm: float, shoulder_offset_mm: dict[str, float]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the joints at 1-based mocap positions (F,) of a subject of these sizes: points by name, each (F, 3) mm,
+    Vicon's world; and where the motion capture is complete (F,)."""
     at = Instants.of(positions, len(mocap.points_mm))
-    points, used = _trunk(mocap, at, sizes.chest_radius_mm)
+    points, used = _trunk(mocap, at, chest_radius_mm)
     for side in "LR":
-        for limb, segments in (_leg(mocap, at, side), _arm(mocap, at, side, sizes.shoulder_offset_mm[side])):
+        for limb, segments in (_leg(mocap, at, side), _arm(mocap, at, side, shoulder_offset_mm[side])):
             points |= {side + name: point for name, point in limb.items()}
             used += segments
     seen = np.isfinite([between(track, at) for track in markers_mm(mocap)]).all(axis=(0, 2))
-    return Joints(points, np.all([at.inside, seen, *(s.known for s in used)], axis=0))
+    return points, np.all([at.inside, seen, *(s.known for s in used)], axis=0)
 
 
 def _trunk(mocap: Mocap, at: Instants, chest_radius_mm: float) -> tuple[dict[str, np.ndarray], list[Segment]]:

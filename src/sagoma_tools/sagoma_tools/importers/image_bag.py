@@ -6,10 +6,8 @@ time. Cameras need not be triggered together: stamps.csv says when each image wa
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -36,18 +34,6 @@ GREY_BITS = TopicSettings().bits
 Progress = Callable[[int], None]
 
 
-@dataclass(frozen=True)
-class Summary:
-    """What was written: the topic of each camera, frames, their rate, Hz; how far apart, s, the images of one frame
-    are at most; images of the first camera for which another one lacks."""
-
-    topics: Mapping[str, str]
-    frames: int
-    fps: float
-    spread_s: float
-    incomplete: int
-
-
 def import_bag(
     bag: Path,
     folder: Path,
@@ -55,8 +41,9 @@ def import_bag(
     topics: Mapping[str, str] | None = None,
     background: Path | None = None,
     progress: Progress = lambda done: None,
-) -> Summary:
-    """Write the session folder ``folder``, lossless; it appears whole or not at all.
+) -> list[str]:
+    """Write the session folder ``folder``, lossless, which appears whole or not at all, and say what that is, line by
+    line: also how far apart the images of one frame are.
 
     rig_file : else lenses/CAMERA.yaml are written of the bag's camera_info. topics : of cameras whose name is in no
     topic's. background : a bag of the empty room, on the same topics. Raises InputError.
@@ -79,9 +66,12 @@ def import_bag(
         else:
             _save_lenses(bag, found, partial / LENSES)
         save_description(partial, fps, f"images of {bag.resolve().name}", "bag", cameras=dict(found))
-    spread_s = float(np.ptp(sets_ns, axis=1).max()) / NS_PER_S
+    spread_ms = 1e3 * float(np.ptp(sets_ns, axis=1).max()) / NS_PER_S
     incomplete = len(next(iter(stamps_ns.values()))) - len(sets_ns)
-    return Summary(found, len(sets_ns), fps, spread_s, incomplete)
+    left_out = f", {incomplete} left out without an image of every camera" if incomplete else ""
+    lines = [f"{name}: {topic}" for name, topic in found.items()]
+    apart = f"images of a frame up to {spread_ms:.1f} ms apart{left_out}"
+    return [*lines, f"{len(sets_ns)} frames at {fps:.4g} Hz, {apart}"]
 
 
 def choose_topics(
@@ -147,7 +137,7 @@ def _copy_images(
     bag: Path, topics: Mapping[str, str], folder: Path, tail: str, fps: float, sets_ns: np.ndarray, progress: Progress
 ) -> None:
     """Write the images of frames (F, C), the cameras in the order of ``topics``, into a video each."""
-    uses = {topic: Counter(column.tolist()) for topic, column in zip(topics.values(), sets_ns.T, strict=True)}
+    wanted = {topic: set(column.tolist()) for topic, column in zip(topics.values(), sets_ns.T, strict=True)}
     done = 0
     with ExitStack() as stack:
         files = {
@@ -155,13 +145,12 @@ def _copy_images(
             for name, topic in topics.items()
         }
         for message in read_messages(bag, files.__contains__):
-            times = uses[message.topic].pop(_stamp_ns(message), 0)
-            if times:
+            if (stamp_ns := _stamp_ns(message)) in wanted[message.topic]:
+                wanted[message.topic].discard(stamp_ns)
                 raw = IMAGE_TYPES.index(message.msgtype) == 0
                 image = decode_image(message.decode(Image if raw else CompressedImage), message.topic, GREY_BITS)
-                for _ in range(times):
-                    files[message.topic].write(image)
-                done += times
+                files[message.topic].write(image)
+                done += 1
                 progress(done // len(topics))
 
 
