@@ -1,16 +1,24 @@
-"""The page's server as it runs: where it listens, and whom it serves."""
+"""The page's server as it runs: where it listens, whom it serves, and what of a browser's messages it reads."""
 
 import http.client
+import logging
 import socket
+import threading
 
+import msgspec
 import pytest
+import viser
 from websockets.datastructures import Headers
+from websockets.sync.client import connect
 
 from capture_rig.errors import InputError
 from sagoma_tools.cli import main
 from sagoma_tools.view.server import COOKIE, FRAMING, PORT, SCRIPT, Guard, guarded_server, listening_socket
 
+CAMERA = {"type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [3.0, 0, 1], "look_at": [0, 0, 1]}
+CAMERA |= {"fov": 1.0, "near": 0.01, "far": 1000, "image_height": 600, "image_width": 800, "up_direction": [0, 0, 1]}
 OPENED = {"Cookie": f"{COOKIE}=secret"}
+PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +49,7 @@ def get_with_exactly(port, *headers, path="/"):
 def test_the_server_asks_the_guard_before_it_serves_the_page_which_is_never_in_a_frame(port):
     assert get(port, "/").status == 403
     assert get(port, "/../guard.py", **OPENED).status == 404
-    assert get(port, "/" + "a" * 5000, **OPENED).status == 500  # too long for a file
+    assert get(port, "/" + "a" * 5000, **OPENED).status == 400  # too long for a file
     redirect = get(port, "/?token=secret")
     assert redirect.status == 303 and "HttpOnly" in redirect.getheader("Set-Cookie")
     page = get(port, "/", **OPENED)
@@ -64,12 +72,62 @@ def test_the_server_asks_the_guard_before_it_serves_the_page_which_is_never_in_a
         ["Host: 127.0.0.1", f"Cookie: {COOKIE}=secret", "Upgrade: a", "Upgrade: websocket"],
     ],
 )
-def test_odd_headers_are_not_served(port, lines):
+def test_odd_headers_are_refused_with_one_line_in_the_log(port, lines, caplog):
     answer = get_with_exactly(port, *lines)
-    assert answer.startswith((b"HTTP/1.1 400 ", b"HTTP/1.1 500 ")) and b"<html" not in answer
+    assert answer.startswith(b"HTTP/1.1 400 ") and b"<html" not in answer
+    (record,) = (record for record in caplog.records if record.levelno >= logging.WARNING)
+    assert "could not be answered" in record.message and "\n" not in record.message and record.exc_info is None
 
 
-@pytest.mark.parametrize("host", ["203.0.113.7", "a" * 100])
+def send(link, message):
+    link.send(msgspec.msgpack.encode(message))
+
+
+def update_of(control, **updates):
+    return {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": updates}
+
+
+def test_messages_of_wrong_types_are_left_out_and_every_control_goes_on(server, caplog):
+    gui = server.gui
+    controls = [
+        gui.add_slider("second", 0.0, 9.0, 0.01, 1.0),
+        gui.add_text("name", "walk"),
+        gui.add_checkbox("pictures", False),
+        gui.add_dropdown("take", ("walk", "run")),
+        gui.add_button_group("recording", ("record", "finish")),
+    ]
+    before = [control.value for control in controls]
+    moved = threading.Event()
+    controls[0].on_update(lambda event: moved.set())
+    bad: list[object] = [
+        update_of(control, **updates)
+        for control in controls
+        for updates in ({"__dict__": {}}, {"value": {}}, {"value": [1]}, {"value": None}, {"update_cb": []}, {"no": 1})
+    ]
+    bad += [update_of(controls[0], value=value) for value in ("1", True, float("nan"), float("inf"))]
+    bad += [update_of(controls[2], value=1), update_of(controls[1], value=7)]
+    bad += [update_of(control, value="none of these") for control in controls[3:]]
+    bad += [{**CAMERA, "position": "here"}, {**CAMERA, "look_at": [0, 0]}, {**CAMERA, "fov": float("nan")}]
+    bad += [{"type": "GuiUpdateMessage"}, {"type": "ShareUrlRequest"}, {"type": []}, {}, [], 7, None]
+    address = f"ws://127.0.0.1:{server.get_port()}/"
+    protocol = f"viser-v{viser.__version__}"
+    with connect(address, additional_headers=OPENED, subprotocols=[protocol]) as link:
+        for message in bad:
+            send(link, message)
+        link.send("text")
+        link.send(b"\xc1")
+        left_out = len(bad) + 2
+        send(link, CAMERA)
+        assert not moved.is_set()
+        send(link, update_of(controls[0], value=2))
+        assert moved.wait(PATIENCE_S)  # of the same connection, so all before has been read
+    assert [control.value for control in controls] == [2.0, *before[1:]]
+    records = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(records) == left_out and all("left out" in record.message for record in records)
+    assert all("\n" not in record.message and record.exc_info is None for record in records)
+
+
+@pytest.mark.parametrize("host", ["", "203.0.113.7", "a" * 100])
 def test_a_host_that_is_not_this_machine_ends_the_command_at_once(host, capsys):
     assert main(["view", "--host", host]) == 2
     said = capsys.readouterr().err

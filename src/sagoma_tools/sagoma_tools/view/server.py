@@ -1,6 +1,6 @@
 """The page's web server, viser's, on a socket that we opened, and the guard that is asked about every request first.
 
-viser has no hook for requests, so the websockets server that it starts is given ours. The page is for
+viser has no hook for requests and messages, so the websockets server that it starts is given ours. The page is for
 programs of this machine, or for who has the token; never for a page of another origin: a browser lets any website open
 a WebSocket to localhost. A request's Host must be one that we serve (else a website could point a name of its own at
 us), a WebSocket's Origin must be this page, and where the page is open to other machines a token is needed, which a
@@ -13,21 +13,26 @@ import errno
 import hmac
 import http
 import logging
+import math
 import secrets
 import socket
-from collections.abc import Callable
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
+import msgspec
 import rich
 import viser
 import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from capture_rig.errors import InputError
+from capture_rig.errors import InputError, shortened
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 ANY_HOST = ("0.0.0.0", "::")
@@ -88,12 +93,86 @@ def _equal(given: str, token: str) -> bool:
     return hmac.compare_digest(given.encode(), token.encode())
 
 
-def refuse(why: str) -> Response:
+def refuse(why: str, status: http.HTTPStatus = http.HTTPStatus.FORBIDDEN) -> Response:
     """The response to who is not served."""
-    status = http.HTTPStatus.FORBIDDEN
     body = f"sagoma view: {why}\n".encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
     return Response(status, status.phrase, headers, body)
+
+
+# messages of a browser ------------------------------------------------------------------------------------------------
+
+
+Vector = tuple[float, float, float]
+ControlOf = Callable[[str], Any]
+"""Finds a control by its id, None where there is none."""
+
+
+class Sent(msgspec.Struct, tag_field="type", tag=lambda name: f"{name}Message", forbid_unknown_fields=True):
+    """A message of viser's client, named as viser names it."""
+
+
+class ViewerCamera(Sent):
+    """Where the view is: quaternion wxyz, metres, radians, pixels."""
+
+    wxyz: tuple[float, float, float, float]
+    position: Vector
+    fov: float
+    near: float
+    far: float
+    image_height: int
+    image_width: int
+    look_at: Vector
+    up_direction: Vector
+
+    def fault(self, control_of: ControlOf) -> str:
+        """Say what cannot be used; empty when all can."""
+        numbers = (*self.wxyz, *self.position, self.fov, self.near, self.far, *self.look_at, *self.up_direction)
+        return "" if all(map(math.isfinite, numbers)) else "a view that is not finite"
+
+
+class GuiUpdate(Sent):
+    """A control's new value; viser would set any attribute of it that is named."""
+
+    uuid: str
+    updates: dict[Literal["value"], bool | int | float | str]
+
+    def fault(self, control_of: ControlOf) -> str:
+        """Say what cannot be used; empty when all can, and of a control that is gone, which viser leaves alone."""
+        control = control_of(self.uuid)
+        fits = control is None or all(_fits(value, control) for value in self.updates.values())
+        return "" if fits else "a value that its control cannot have"
+
+
+async def next_message(receive: Callable[[], Awaitable[Any]], control_of: ControlOf, log: logging.Logger) -> bytes:
+    """Return the next message that viser may read, and log what is left out before it."""
+    while True:
+        data = await receive()
+        fault = fault_of(data, control_of)
+        if not fault:
+            return data
+        log.warning("the page has left out what a browser sent: %s", fault)
+
+
+def fault_of(data: str | bytes, control_of: ControlOf) -> str:
+    """Say why a message is none of this page's; empty when it is one."""
+    if isinstance(data, str):
+        return "text"
+    try:
+        message = msgspec.msgpack.decode(data, type=ViewerCamera | GuiUpdate)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        return shortened(str(error)) or repr(error)
+    return message.fault(control_of)
+
+
+def _fits(value: object, control: Any) -> bool:
+    """Is this of the type of the control's value, and one of its options where it has some?"""
+    now = control.value
+    if isinstance(now, bool) or isinstance(value, bool):
+        return isinstance(now, bool) and isinstance(value, bool)
+    if isinstance(now, str):
+        return isinstance(value, str) and value in getattr(control, "options", (value,))
+    return isinstance(now, int | float) and isinstance(value, int | float) and math.isfinite(value)
 
 
 # the server ----------------------------------------------------------------------------------------------------------
@@ -104,10 +183,13 @@ TRIED_PORTS = 100
 """The port of a page for which none was asked, and how many after it are tried while they are taken."""
 MOST_BYTES = 1 << 20
 """Of a message from a browser: the page has nothing to upload."""
+NO_HOST = "Give one of this machine's addresses (`ip address` lists them), or 0.0.0.0 for all."
 FRAMING = "Content-Security-Policy", "frame-ancestors 'none'"
 """No other page may show ours in a frame, where a click meant for theirs would press our buttons."""
-_log = logging.getLogger("sagoma.view.requests")
-_log.setLevel(logging.CRITICAL)  # websockets calls an error what browsers do: they open connections in advance
+HANDSHAKE_FAILED = "opening handshake failed"
+"""How websockets calls a connection that asks for nothing: browsers open such in advance."""
+_patching = threading.Lock()
+_log = logging.getLogger("sagoma.view")
 
 
 def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
@@ -117,25 +199,14 @@ def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
     nothing is served.
     """
     rich.get_console().quiet = True  # viser prints an address without the token
-    original, served = websockets.asyncio.server.serve, []
+    server: viser.ViserServer | None = None
 
-    def serve(handler: Any, *address: Any, process_request: Any = None, **options: Any) -> Any:
-        def answer(connection: Any, request: Request) -> Response | None:
-            response = guard.refusal(request.path, request.headers) or _page(connection, request, process_request)
-            if response is not None:
-                response.headers[FRAMING[0]] = FRAMING[1]
-            return response
-
-        served.append(True)
-        options |= {"max_size": MOST_BYTES, "logger": _log}
-        return original(handler, sock=listening, process_request=answer, **options)
+    def control_of(uuid: str) -> Any:
+        return None if server is None else server.gui._gui_input_handle_from_uuid.get(uuid)
 
     listening = listening_socket(guard.host, port)
-    websockets.asyncio.server.serve = serve  # type: ignore[misc, assignment]
-    try:
+    with _patching, _serving(guard, listening, control_of) as served:
         server = viser.ViserServer(host=guard.host, port=listening.getsockname()[1], verbose=False)
-    finally:
-        websockets.asyncio.server.serve = original  # type: ignore[misc]
     if not served:
         server.stop()
         listening.close()
@@ -146,17 +217,50 @@ def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
 def listening_socket(host: str, port: int | None) -> socket.socket:
     """Open the socket to listen on; port as of :func:`guarded_server`. Raises InputError when there is none."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    if not host:  # Python takes that for all addresses
+        raise InputError("cannot listen on ''", where="--host", remedy=NO_HOST)
     ports = (port,) if port is not None else range(PORT, PORT + TRIED_PORTS)
     for tried in ports:
         try:
             return socket.create_server((host, tried), family=family)
         except (OSError, UnicodeError) as error:
             if getattr(error, "errno", None) != errno.EADDRINUSE:
-                remedy = "Give one of this machine's addresses (`ip address` lists them), or 0.0.0.0 for all."
                 what = f"cannot listen on '{host}', port {tried}: {error}"
-                raise InputError(what, where="--host", remedy=remedy) from error
+                raise InputError(what, where="--host", remedy=NO_HOST) from error
     taken = f"port {ports[0]} is taken" if port is not None else f"ports {ports[0]} to {ports[-1]} are taken"
     raise InputError(taken, where="--port", remedy="Give another one, or 0 for any free one.")
+
+
+@contextmanager
+def _serving(guard: Guard, listening: socket.socket, control_of: Callable[[str], Any]) -> Iterator[list[bool]]:
+    """While this lasts, servers of websockets listen there, refuse first, and serve the page with our script."""
+    original, served = websockets.asyncio.server.serve, []
+
+    def serve(handler: Any, *address: Any, process_request: Any = None, **options: Any) -> Any:
+        async def handle(connection: Any) -> None:
+            connection.recv = partial(next_message, connection.recv, control_of, _log)
+            await handler(connection)
+
+        def answer(connection: Any, request: Request) -> Response | None:
+            try:
+                response = guard.refusal(request.path, request.headers) or _page(connection, request, process_request)
+            except Exception as error:  # headers that cannot be read, a path too long for a file: not served
+                _log.warning("a request could not be answered: %s", shortened(repr(error)))
+                response = refuse("this request cannot be answered", http.HTTPStatus.BAD_REQUEST)
+            if response is not None:
+                response.headers[FRAMING[0]] = FRAMING[1]
+            return response
+
+        served.append(True)
+        _log.addFilter(_in_one_line)
+        options |= {"max_size": MOST_BYTES, "logger": _log}
+        return original(handle, sock=listening, process_request=answer, **options)
+
+    websockets.asyncio.server.serve = serve  # type: ignore[misc, assignment]
+    try:
+        yield served
+    finally:
+        websockets.asyncio.server.serve = original  # type: ignore[misc]
 
 
 def _page(connection: Any, request: Request, serve: Callable[[Any, Request], Response | None]) -> Response | None:
@@ -166,6 +270,14 @@ def _page(connection: Any, request: Request, serve: Callable[[Any, Request], Res
         del request.headers["Accept-Encoding"]
     response = serve(connection, request)
     return with_script(response) if is_page and response is not None else response
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Log what failed without its traceback, and connections that ask for nothing not at all."""
+    if record.exc_info:
+        record.msg, record.args = f"{record.getMessage()}: {shortened(repr(record.exc_info[1]))}", ()
+        record.exc_info = None
+    return not record.getMessage().startswith(HANDSHAKE_FAILED)
 
 
 # script beside viser's client -----------------------------------------------------------------------------------------
