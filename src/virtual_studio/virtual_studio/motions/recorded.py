@@ -155,8 +155,8 @@ def _head_tip(joint: dict[str, Array]) -> Array:
 
 def _leg(joint: dict[str, Array]) -> float:
     """Hip to ankle along the leg, the file's unit."""
-    ways = pairwise(("hip", "knee", "ankle"))
-    bones = [(f"{side}_{a}", f"{side}_{b}") for a, b in ways for side in ("left", "right")]
+    legs = ([f"{side}_{joint}" for joint in ("hip", "knee", "ankle")] for side in ("left", "right"))
+    bones = [bone for leg in legs for bone in pairwise(leg)]
     return 0.5 * float(sum(np.median(np.linalg.norm(joint[a] - joint[b], axis=1)) for a, b in bones))
 
 
