@@ -37,7 +37,7 @@ CALL_TIMEOUT_S, DISCOVERY_TIMEOUT_S = 2.0, 5.0
 SOON_NS = 20_000_000  # attacks are later than the last set by so much: what is old is dropped unread
 NEAR_NS = 60_000_000_000
 NOT_OURS = ("/rosout", "/parameter_events", "/clock")
-REPEAT = 4
+REPEAT, PAUSE_S = 4, 5e-3
 
 
 class Target:
@@ -152,6 +152,7 @@ class Attacker:
                     if message is None:
                         break
                     publishers[topic].publish(message)
+                    time.sleep(PAUSE_S)
         self._survived()
         for publisher in publishers.values():
             target.link.node.destroy_publisher(publisher)
