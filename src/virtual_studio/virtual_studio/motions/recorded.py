@@ -13,22 +13,17 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from capture_rig.errors import InputError
-from capture_rig.session import WRIST_FRACTION
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
-from ..people import ANKLE_HEIGHT, VolumetricBody
+from ..people import VolumetricBody
 from ..rig import VOLUME
 from .bvh import Array, joints_by_role, read_bvh
 from .timeline import T_POSE_S, Motion, ease, frame_count
 
 SUFFIX = ".bvh"
-HAND_OVER_FOREARM = 1.0 / WRIST_FRACTION - 1.0
-HEAD_OVER_LEG = 0.130 / (0.530 - ANKLE_HEIGHT)
-"""From the neck to the tip of the head, over the leg from hip to ankle: Drillis & Contini (1966), as in Winter,
-Biomechanics and Motor Control, fig. 4.1."""
 UPRIGHT = 0.5
 """Least cosine between the way from ankles to neck, on average, and up."""
 WORLD_FROM_UP = {
@@ -111,9 +106,8 @@ class RecordedMotion:
     def reference_points(self, leg_m: float) -> tuple[Array, float]:
         """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``; frames a second.
 
-        A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
-        along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the
-        file has none, beyond the head's joint at the average distance from the neck.
+        The file's wrist stands for the finger tip, and the head's joint for its tip where the file has none: they lie
+        on the same sticks, whose directions alone are played.
         """
         placed, fps = read_bvh(self.path)
         if self.up not in WORLD_FROM_UP:
@@ -125,8 +119,7 @@ class RecordedMotion:
         points[:, 2] = joint["neck"]
         points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
         points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
-        points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
-        points[:, 1] = _head_tip(joint)
+        points[:, 1] = joint.get("head_tip", joint["head"])
         return leg_m / _leg(joint) * points, fps
 
     def _check_upright(self, joint: dict[str, Array]) -> None:
@@ -140,17 +133,6 @@ class RecordedMotion:
 
     def __str__(self) -> str:
         return self.path.name
-
-
-def _head_tip(joint: dict[str, Array]) -> Array:
-    neck, head = joint["neck"], joint["head"]
-    along = head - neck
-    if "head_tip" in joint:
-        tip = joint["head_tip"] - neck
-        if np.median(np.linalg.norm(tip, axis=1)) > 1.2 * np.median(np.linalg.norm(along, axis=1)):
-            return neck + tip
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    return neck + HEAD_OVER_LEG * _leg(joint) * along / np.maximum(length, 1e-12)
 
 
 def _leg(joint: dict[str, Array]) -> float:
