@@ -239,6 +239,11 @@ def test_a_session_without_a_background_is_an_error_of_evaluate(three_cameras: P
     assert status == 2 and "there is no background for cam03" in said and "Add cam03_background" in said
 
 
+def test_a_host_plays_no_footage_without_a_beginning_that_all_hosts_have(three_cameras: Path) -> None:
+    status, said = run("up", three_cameras, "--only", "cam01")
+    assert status == 2 and "footage.epoch_ns" in said
+
+
 def test_a_camera_whose_name_can_be_no_topic_is_an_error(tmp_path: Path) -> None:
     save_rig(ring(2), tmp_path / "rig.yaml")
     (tmp_path / "rig.yaml").write_text((tmp_path / "rig.yaml").read_text().replace("cam01", "left camera"))
