@@ -54,13 +54,11 @@ class RecordedMotion:
     Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
     room, and its lowest frames onto the floor.
 
-    up : the axis that points up in the file. start_s : what to leave out at the start (some files begin with a rest
-    pose).
+    up : the axis that points up in the file.
     """
 
     path: Path
     up: str = "y"
-    start_s: float = 0.0
 
     def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
         """Plays at most ``seconds`` of it, T-pose and blend included; less where the file ends before.
@@ -89,11 +87,6 @@ class RecordedMotion:
         read.
         """
         points, file_hz = self.reference_points(leg_m)
-        first = round(self.start_s * file_hz)
-        if first >= len(points):
-            lasts = f"It lasts {len(points) / file_hz:.2f} s."
-            raise InputError(f"there is no motion at {self.start_s:g} s", where=str(self.path), remedy=lasts)
-        points = points[first:]
         body, times = Body.from_points(points), np.arange(len(points)) / file_hz
         if len(points) > 1 and abs(fps - file_hz) >= 1e-9 * file_hz:
             count = int(np.floor(times[-1] * fps + 1e-6)) + 1
@@ -156,7 +149,7 @@ def _placed(person: VolumetricBody, poses: list[Pose], path: Path) -> list[Pose]
     farthest = np.abs(places[:, :2] + shift[:2]).max()
     if farthest > ROOM_M:
         too_far = f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide"
-        raise InputError(too_far, where=str(path), remedy="Take fewer seconds of it, or start elsewhere.")
+        raise InputError(too_far, where=str(path), remedy="Take fewer seconds of it.")
     return [_moved(pose, shift) for pose in poses]
 
 
