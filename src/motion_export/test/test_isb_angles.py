@@ -59,9 +59,7 @@ def test_the_same_movement_of_both_sides_has_the_same_angle(side, joint, left_de
     assert angles_of(**{f"{side}_{joint}": degrees})[f"{side}_{isb}"] == pytest.approx(expected, abs=1e-6)
 
 
-def test_signs_of_a_nod_of_a_bend_forward_and_of_a_turn_to_the_left() -> (
-    None
-):
+def test_signs_of_a_nod_of_a_bend_forward_and_of_a_turn_to_the_left() -> None:
     assert angles_of(np.array([0.0, np.deg2rad(30.0), 0.0]))["thorax_tilt"] == pytest.approx(-30.0)
     assert angles_of(np.array([0.0, 0.0, np.deg2rad(40.0)]))["thorax_axial_rotation"] == pytest.approx(40.0)
     assert angles_of(neck_y=25.0)["neck_flexion"] == pytest.approx(25.0)
