@@ -36,6 +36,8 @@ from sagoma_tools.takes.folder import TakesFolder
 from stick_figure.body import Body, load_body, save_body
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from virtual_studio.motions.bvh import read_bvh
+from virtual_studio.motions.catalogue import t_pose_only
+from virtual_studio.recording.session import write_truth
 from virtual_studio.rig import ring
 
 VALUES: tuple[Any, ...] = (
@@ -100,34 +102,17 @@ def damage(path: Path, rng: np.random.Generator) -> None:
 
 FEW, MANY = 12, 400
 BVH = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 0 0 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Chest
-  {
-    OFFSET 0 10 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 0 10 0
-    }
-  }
-}
+ROOT Hips { OFFSET 0 0 0
+CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+JOINT Chest { OFFSET 0 10 0
+CHANNELS 3 Zrotation Xrotation Yrotation
+End Site { OFFSET 0 10 0 } } }
 MOTION
 Frames: 2
 Frame Time: 0.0333
 0 0 0 0 0 0 1 2 3
 1 0 0 0 0 0 4 5 6
 """
-
-
-def write_truth(path: Path) -> None:
-    names = ("neck", "l_hip", "r_hip", "head_top", "l_shoulder", "r_shoulder", "l_elbow", "r_elbow", "l_knee", "r_knee")
-    points = [*names, "l_hand_tip", "r_hand_tip", "l_ankle", "r_ankle"]
-    rows = [",".join(["frame", *(f"{name}_{axis}" for name in points for axis in "xyz")])]
-    rows += [",".join([str(frame), *["0.5"] * (3 * len(points))]) for frame in range(3)]
-    path.write_text("\n".join(rows) + "\n")
 
 
 def write_background(path: Path) -> None:
@@ -137,11 +122,12 @@ def write_background(path: Path) -> None:
 
 CAMERA = {"/cam01/camera_client": {"ros__parameters": {"camera_name": "cam01", "aravis": {"address": "127.0.1.1"}}}}
 BOARD = {"type": "checkerboard", "columns": 8, "rows": 5, "square_m": 0.1}
+BODY = Body.from_stature(1.7)
 POSE = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), T_POSE_ANGLES)
 KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
     "rig": ("rig.yaml", lambda path: save_rig(ring(2), path), load_rig),
     "calibration": ("cam01.yaml", lambda path: save_camera_info(path, ring(1).cameras[0]), read_camera_info),
-    "body": ("body.yaml", lambda path: save_body(Body.from_stature(1.7), path), load_body),
+    "body": ("body.yaml", lambda path: save_body(BODY, path), load_body),
     "pose": ("pose.yaml", lambda path: save_initial_pose(POSE, path), load_initial_pose),
     "board": ("board.yaml", lambda path: save_mapping(path, BOARD), lambda path: read_board(str(path))),
     "corners": (
@@ -151,7 +137,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]]
     ),
     "camera parameters": ("cam01.yaml", lambda path: save_mapping(path, CAMERA), camera_from_file),
     "session": ("session.yaml", lambda path: save_mapping(path, {"fps": 30.0, "units": "metres, pixels"}), stated_rate),
-    "truth": ("truth.csv", write_truth, load_truth),
+    "truth": ("truth.csv", lambda path: write_truth(path, BODY, t_pose_only(BODY, 0.1, 30.0)), load_truth),
     "background": ("cam01.npz", write_background, load_background),
     "motion": ("walk.bvh", lambda path: path.write_text(BVH), read_bvh),
 }
@@ -251,6 +237,11 @@ def test_a_session_without_a_background_is_an_error_of_evaluate(three_cameras: P
     next(session.glob("cam03_background.*")).unlink()
     status, said = run("evaluate", session, "--plots", tmp_path / "out")
     assert status == 2 and "there is no background for cam03" in said and "Add cam03_background" in said
+
+
+def test_a_host_plays_no_footage_without_a_beginning_that_all_hosts_have(three_cameras: Path) -> None:
+    status, said = run("up", three_cameras, "--only", "cam01")
+    assert status == 2 and "footage.epoch_ns" in said
 
 
 def test_a_camera_whose_name_can_be_no_topic_is_an_error(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from capture_rig.settings import build_settings, leaves
 from ekf_tracker.settings import EkfNodeSettings
 from hull_server.settings import NodeSettings as HullNodeSettings
 from icp_tracker.settings import IcpNodeSettings
-from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph, camera_from_file
+from sagoma_bringup.graph import build_graph, camera_from_file
 from sagoma_tools.doctor.cameras import read_file
 from sagoma_tools.graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 
@@ -74,20 +74,6 @@ def test_example_rig_with_its_cameras_and_body_makes_one_graph():
     assert {settings[name].rig_file for name in (*cameras, "hull_server")} == {str(RIG)}
     assert not any(node.parameters["autostart"] for node in graph[3:])  # driven by whoever starts the graph
     assert settings["icp_tracker"].body_file and "body_file" not in graph[2].parameters  # fits bring it to the filter
-
-
-def test_lossless_settings():
-    settings = accepted(build_graph(rig=RIG, settings=LOSSLESS_SETTINGS))
-    assert settings["hull_server"].reliable
-    assert min(settings[n].queue_depth for n in ("hull_server", "icp_tracker")) >= 1000
-
-
-@pytest.mark.parametrize("rate", [0.0, 1.0])
-def test_session_of_real_footage(shared_data, rate):
-    settings = accepted(build_graph(session=shared_data("real_4cam"), rate=rate))
-    assert settings["hull_server"].tolerance_s == pytest.approx(0.5 / 60)
-    assert settings["hull_server"].reliable == (rate == 0.0)
-    assert settings["cam03"].footage.fps == pytest.approx(60.0)
 
 
 # --- viewers and the aggregator

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import measure_code
 import pytest
-from figures import FigureError, Figures, main, pages_of, records_of
+from figures import Figures, main, pages_of, records_of
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = {
@@ -97,12 +97,6 @@ def test_a_page_that_says_something_else_is_named_and_a_record_in_words_stands_f
     assert "| the way | about a millimetre |" in (tree / "README.md").read_text()
 
 
-def test_a_row_that_does_not_fit_its_record_is_an_error_that_names_it(tree, capsys):
-    record(tree, figures={"on_mm": 1.0})
-    assert main(tree, check=False) == 1
-    assert "row 'way'" in capsys.readouterr().err
-
-
 def test_a_row_is_stale_once_a_commit_has_changed_its_code_and_not_before(tree):
     (tree / "README.md").write_text("another page\n")
     git(tree, "add", ".")
@@ -123,17 +117,6 @@ def test_a_row_whose_commit_is_unknown_or_dirty_is_named(tree, commit, said):
     record(tree, commit=commit)
     (line,) = Figures(tree).stale()
     assert said in line
-
-
-def test_without_a_history_ages_are_unknown(tree, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("copies")
-    (folder / "none").mkdir()
-    (tree / "src/walker/walker/gait.py").write_text("STEP_M = 0.8\n")
-    git(tree, "commit", "-qam", "Walk faster")
-    git(folder, "clone", "-q", "--depth", "1", f"file://{tree}", "shallow")
-    for copy in ("none", "shallow"):
-        with pytest.raises(FigureError, match="no history"):
-            Figures(folder / copy).stale()
 
 
 BENCH = """
@@ -200,21 +183,3 @@ def test_growth_beyond_the_budget_is_named_and_recorded():
     recorded = json.loads(measure_code.record(counts, sizes))
     assert recorded == {"settings": {"budget": 4, "aim": 2}, "test lines": {"budget": 9, "aim": 5}}
     assert measure_code.exceeded(counts, recorded) == []
-
-
-def test_a_small_tree_is_counted_with_its_constants_that_have_a_fraction_and_follow_from_no_other(tmp_path):
-    tuned = "STEP_M = 0.7\nLOW: float = -1.5\nTILT = np.deg2rad(5)\nHALF = 1 / 12.0\n"
-    others = "SIZE = 3\nTWICE = 2.0 * LOW\nNAME = 'a'\nON = True\nAXES = (0.5, 1.0)\nmean = 0.5\nSIGMA = sqrt(2.0)\n"
-    settings = "speed: float = setting(1, 'm/s')\nloud: bool = setting(True, 'x')\n"
-    files = {
-        "src/walker/walker/gait.py": tuned + others + settings,
-        "src/walker/test/test_gait.py": "def test_gait(): ...\n",
-        "docs/gait.md": "How it walks.\n",
-    }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    counts = measure_code.measure(tmp_path)
-    expected = {"product lines": 13, "product modules": 1, "tuned constants": 5, "settings": 2, "test lines": 1}
-    expected |= {"docs words": 3, "bench lines": 0, "  walker constants": 4}
-    assert expected.items() <= counts.items()

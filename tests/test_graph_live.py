@@ -150,12 +150,6 @@ def test_the_graph_goes_on_without_a_killed_camera_and_a_lockstep_replay_does_no
     assert bag_digest(bags[0]) == bag_digest(bags[1])
 
 
-def test_start_settings_take_the_reference_where_it_was_measured(three_cameras):
-    session = load_session(three_cameras)
-    assert start_settings(session, "auto") == {"icp_tracker.initial_pose.source": "auto"}
-    assert start_settings(session, "session")["icp_tracker.initial_pose.frame"] == 0
-
-
 # --- a thing that was moved since the background was learned
 
 FPS, SECONDS = 10.0, 8.0

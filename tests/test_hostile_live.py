@@ -22,7 +22,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from sagoma_bringup.graph import THREE_PROCESSES, build_graph
-from sagoma_tools.graph.ros_link import RosLink, call_all
+from sagoma_tools.graph.ros_link import RosLink, call_all, settled
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, message_class, type_of
 from stick_figure.body import Body
@@ -36,7 +36,7 @@ CALL_TIMEOUT_S, DISCOVERY_TIMEOUT_S = 2.0, 5.0
 SOON_NS = 20_000_000  # attacks are later than the last set by so much: what is old is dropped unread
 NEAR_NS = 60_000_000_000
 NOT_OURS = ("/rosout", "/parameter_events", "/clock")
-SERVICES_LEFT_ALONE = ("change_state",)  # to stop a node is what it is for; a transition that is none is asked for
+REPEAT, PAUSE_S = 4, 5e-3
 
 
 class Target:
@@ -135,26 +135,23 @@ class Attacker:
 
     def __init__(self, target: Target, seed: int = 1) -> None:
         self._target, self._rng = target, np.random.default_rng(seed)
-        self.topics = {
-            t: k for t, k in _types(target.link).items() if t not in NOT_OURS and "/transition_event" not in t
-        }
+        known = settled(lambda: set(_types(target.link)), 1, DISCOVERY_TIMEOUT_S)
+        ours = (topic for topic in known if topic not in NOT_OURS and "/transition_event" not in topic)
+        self.topics = {topic: _types(target.link)[topic] for topic in ours}
         self._valid = valid_messages(target.link, self.topics)
 
     def send(self, attack: Attack) -> None:
         """Send it on every topic that it applies to; the graph goes on."""
         target, publishers = self._target, self._open()
         for topic, valid in self._valid.items():
-            for number in range(attack.repeat):
-                began_s = time.monotonic()
-                try:
+            for number in range(REPEAT):
+                with suppress(AssertionError, OverflowError, UnicodeEncodeError):  # the type itself refuses a value
                     fresh = with_stamp(valid, target.latest_ns + (number + 1) * SOON_NS)
-                    message = attack.make(valid if fresh is None else fresh, self._rng)
+                    message = attack(valid if fresh is None else fresh, self._rng)
                     if message is None:
                         break
                     publishers[topic].publish(message)
-                except (AssertionError, OverflowError, UnicodeEncodeError):
-                    break  # the message type itself refuses such a value
-                time.sleep(max(1.0 / attack.per_second - (time.monotonic() - began_s), 0.0))
+                    time.sleep(PAUSE_S)
         self._survived()
         for publisher in publishers.values():
             target.link.node.destroy_publisher(publisher)
@@ -176,9 +173,9 @@ class Attacker:
         target = self._target
         for name, (kind, *_) in target.link.node.get_service_names_and_types():
             srv = message_class(kind)
-            for what, request in requests(srv, self._rng).items():
-                if what == "empty" and name.endswith(SERVICES_LEFT_ALONE) and not hasattr(request, "transition"):
-                    continue
+            for request in requests(srv):
+                if hasattr(request, "transition"):
+                    request.transition.id = 255
                 with suppress(AssertionError, UnicodeEncodeError, OverflowError):
                     call_all(target.link.node, srv, {name: request}, CALL_TIMEOUT_S)
         self._survived()

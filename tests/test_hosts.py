@@ -63,32 +63,17 @@ def test_a_camera_pc_that_vanished_sends_masks_again_once_it_is_switched_on(need
     assert "camera cam03: node.missing" in gone["found"] and "answer.none" in gone["found"]
 
 
-def lines_of(scenario, folder, *words):
-    """Lines that a scenario of hosts_scenarios.py prints in namespaces of its own; it ends well."""
-    search = [ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
-    path = os.pathsep.join([*map(str, search), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [str(ROOT / "tests/support/hosts_scenarios.py"), scenario, str(folder), *words]
-    with inside(command, {"PYTHONPATH": path}) as process:
-        lines = process.stdout.read().splitlines()
-    assert process.returncode == 0
-    return lines
-
-
-@pytest.mark.slow
-def test_footage_on_several_hosts_is_in_step_though_one_starts_late_and_refused_without_a_beginning(
-    needs_namespaces, tmp_path
-):
-    alone, together = map(json.loads, lines_of("footage", tmp_path))
-    assert alone["status"] == 2 and "footage.epoch_ns" in alone["says"]
-    assert together["early"] and all("cam03" in missing for missing in together["early"])
-    assert len(together["spread_ms"]) == 10 and set(together["spread_ms"]) == {0.0}  # the same frame from all hosts
-
-
 @pytest.fixture(scope="module")
 def said(needs_namespaces, tmp_path_factory):
     """Of each fault, the codes of what the doctor found, by subject; and all its words."""
+    search = [ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
+    path = os.pathsep.join([*map(str, search), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [str(ROOT / "tests/support/hosts_scenarios.py"), str(tmp_path_factory.mktemp("faults")), *FAULTS]
+    with inside(command, {"PYTHONPATH": path}) as process:
+        lines = process.stdout.read().splitlines()
+    assert process.returncode == 0
     found = {}
-    for line in lines_of("faults", tmp_path_factory.mktemp("faults"), *FAULTS):
+    for line in lines:
         fault, _, listed = line.partition("\t")
         found[fault] = [(f["subject"], f["code"], f["what"], f["remedy"]) for f in json.loads(listed)["findings"]]
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 import shutil
@@ -29,14 +28,7 @@ from sagoma_tools.takes.measure import finish_take
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 WAIT_S = 180.0
-FIELD = """
-    const words = %s;
-    const shown = [...document.querySelectorAll('label')].filter(l => l.getClientRects().length);
-    let box = shown.find(l => l.innerText.trim() === words);
-    while (box && !box.querySelector('input[type=text], input:not([type])')) box = box.parentElement;
-    const field = box.querySelector('input[type=text], input:not([type])');
-"""
-"""JavaScript: the text field that follows a label."""
+FIELD, CHECKBOX = "input[type=text], input:not([type])", "input[type=checkbox]"
 LISTENING = re.compile(r"DevTools listening on (ws://\S+)")
 
 
@@ -64,6 +56,16 @@ def _debugging_address(process: subprocess.Popen[str]) -> str:
         if match := LISTENING.search(line):
             return match[1]
     raise AssertionError("the browser ended before it listened")
+
+
+def beside(label: str, kind: str) -> str:
+    """JavaScript: the input of a kind that follows a label; undefined where there is none."""
+    return f"""(() => {{
+        const shown = [...document.querySelectorAll('label')].filter(l => l.getClientRects().length);
+        let box = shown.find(l => l.innerText.trim() === {json.dumps(label)});
+        while (box && !box.querySelector('{kind}')) box = box.parentElement;
+        return box?.querySelector('{kind}');
+    }})()"""
 
 
 class Browser:
@@ -122,7 +124,7 @@ class Browser:
 
     def wait_for_value(self, label: str, value: str) -> None:
         """Until the text field that follows this label holds this."""
-        self.wait_for(f"(() => {{ {FIELD % json.dumps(label)} return field.value === {json.dumps(value)}; }})()")
+        self.wait_for(f"{beside(label, FIELD)}?.value === {json.dumps(value)}")
 
     def press(self, words: str) -> None:
         """Click with the mouse on the button or tab of these words, once it stands still and nothing covers it."""
@@ -144,30 +146,18 @@ class Browser:
 
     def write(self, label: str, text: str) -> None:
         """Type into the text field that follows this label, in place of what is there."""
-        self.run(f"(() => {{ {FIELD % json.dumps(label)} field.focus(); field.select(); }})()")
+        self.run(f"(field => {{ field.focus(); field.select(); }})({beside(label, FIELD)})")
         self.call("Input.insertText", text=text)
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
 
     def check(self, label: str) -> None:
         """Click on the checkbox that follows this label."""
-        script = f"""(() => {{
-            const shown = [...document.querySelectorAll('label')].filter(l => l.getClientRects().length);
-            let box = shown.find(l => l.innerText.trim() === {json.dumps(label)});
-            while (box && !box.querySelector('input[type=checkbox]')) box = box.parentElement;
-            if (!box) return false;
-            box.querySelector('input[type=checkbox]').click();
-            return true;
-        }})()"""
-        self.wait_for(script)
-
-    def picture(self, path: Path) -> None:
-        """What the page looks like, as a PNG."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        self.wait_for(f"!!{beside(label, CHECKBOX)}")
+        self.run(f"{beside(label, CHECKBOX)}.click()")
 
 
 PATIENCE_S = 240.0
-PICTURES = Path("output/live_page")
 VIEW = "window.__viserMutable.camera.position.toArray()"
 """JavaScript: where the view stands, m."""
 PERSON = """(() => {
@@ -234,7 +224,6 @@ def page_of_a_take(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_take_is_played_and_kept_by_buttons(page_of_a_take):
-    PICTURES.mkdir(parents=True, exist_ok=True)
     with browser(1280, 860) as tab:
         tab.open(page_of_a_take.address)
         tab.wait_for_text("drill: its first pose, at 0.00 s")
@@ -256,11 +245,9 @@ def look(tab: Browser) -> None:
 
 @pytest.mark.slow
 def test_the_graph_is_run_and_a_take_recorded_by_buttons(page):
-    PICTURES.mkdir(parents=True, exist_ok=True)
     with browser(1280, 860) as tab:
         tab.open(page.address)
         tab.wait_for_text("tracking")
-        tab.picture(PICTURES / "live.png")
         drive_the_graph(tab)
         record(tab, page.takes)
         lose_a_camera(tab, page.process)
@@ -278,7 +265,6 @@ def drive_the_graph(tab: Browser) -> None:
     tab.press("Cameras")
     tab.check("pictures")
     tab.wait_for("document.querySelectorAll('img[src^=\"blob:\"]').length === 5")
-    tab.picture(PICTURES / "cameras.png")
     tab.check("pictures")
     tab.press("Live")
     tab.check("hull voxels")
@@ -315,7 +301,6 @@ def keep(tab: Browser, takes: Path) -> None:
     tab.write("second", "0.1")
     tab.wait_for_value("second", "0.1")
     tab.press("play")
-    tab.picture(PICTURES / "take.png")
     tab.write("new name", "part")
     tab.press("trim")
     tab.wait_for_text("made part")
@@ -350,7 +335,6 @@ def lose_a_camera(tab: Browser, process: subprocess.Popen) -> None:
     try:
         tab.wait_for_text("no word since")
         tab.wait_for_text("start it again")
-        tab.picture(PICTURES / "lost.png")
     finally:
         client.resume()
     tab.wait_for_no_text("no word since")

@@ -22,10 +22,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 DOCS = ROOT / "docs"
-MOST_WORDS = 900
 MOST_PAGES = 25
 CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
-FILE = re.compile(r"\b([a-z_]+)/((?:[a-z_]+/)*)([a-z_]+\.py)?")
 
 
 def page_of_code() -> list[str]:
@@ -41,17 +39,6 @@ def test_every_statement_of_the_readme_s_page_stands_in_the_pipeline_in_the_same
     places = [pipeline.find(statement) for statement in statements]
     assert len(statements) >= 7
     assert -1 not in places and places == sorted(places)
-
-
-def test_every_file_and_folder_that_the_page_names_exists():
-    named = [match.group(0) for line in page_of_code() for match in FILE.finditer(line)]
-    assert len(named) >= 15
-    missing = [name for name in named if not (ROOT / "src" / name.split("/")[0] / name).exists()]
-    assert not missing
-
-
-def test_the_readme_is_short_as_wc_counts_words_with_code_and_tables():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= MOST_WORDS
 
 
 def test_every_page_stands_in_the_list_of_pages():

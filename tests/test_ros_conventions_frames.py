@@ -45,16 +45,6 @@ BODY_ID, RIG = "b0001", ring(3)
 LINK_OF_POINT = [link_name(BODY_ID, {"head": "head_top"}.get(name, name)) for name in POINT_NAMES]
 MM = 1e-3
 START_NS, FPS = 5_000_000_000, 30.0
-LIMBS = {
-    "neck": ["head"],
-    **{
-        f"{side}_{upper}": [f"{side}_{one}" for one in lower]
-        for side in ("left", "right")
-        for upper, lower in (("shoulder", ("elbow", "hand")), ("hip", ("knee", "foot")))
-    },
-}
-LIMB_STARTS = [POINT_NAMES.index(start) for start, ends in LIMBS.items() for _ in ends]
-LIMB_ENDS = [POINT_NAMES.index(end) for ends in LIMBS.values() for end in ends]
 
 
 @pytest.fixture
@@ -195,7 +185,6 @@ def test_links_on_tf_are_where_the_reference_points_are_over_the_track_of_a_movi
         for name, place in rigid.items():
             np.testing.assert_allclose(place[:3, :3], placed[name][:3, :3], atol=1e-6)
         shifts = np.array([rigid[LINK_OF_POINT[i]] - linked[i] for i in range(15)])[:, :3, 3]
-        np.testing.assert_allclose(shifts[LIMB_ENDS], shifts[LIMB_STARTS], atol=1e-6)
         off_rigid.append(np.linalg.norm(shifts, axis=1).max())
     assert 2 * MM < np.median(off_rigid) < 40 * MM  # 12 to 25 mm at the shoulders of other tracks: docs/ros.md
 

@@ -7,7 +7,6 @@ import pytest
 from camera_client.background.model import BackgroundLearner
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from stick_figure.body import Body
-from stick_figure.pose import Pose
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.people import OUTFITS, VolumetricBody
 from virtual_studio.recording.session import FIRST_BACKGROUND_FRAME
@@ -24,26 +23,27 @@ class Studio:
     """One camera of the studio on an empty room, and on the room with a person in it."""
 
     def __init__(self):
-        self.camera = ring(4).cameras[CAMERA]
-        eye = VirtualCamera(self.camera)
-        self.empty = eye.empty_room()
-        person = VolumetricBody(Body.from_stature(1.75)).place(self._pose())
+        self.camera, body = ring(4).cameras[CAMERA], Body.from_stature(1.75)
+        eye, person = VirtualCamera(self.camera), VolumetricBody(body).place(MOTIONS["walk"](body, 2.0, 15.0).poses[20])
         self.light, self.person = eye.render(OUTFITS["middle"].dress(person), floor_shadow(person, 0.5))
         learner = BackgroundLearner()
         for k in range(30):
-            learner.add(SENSOR.expose(self.empty, CAMERA, FIRST_BACKGROUND_FRAME + k))
+            learner.add(SENSOR.expose(eye.empty_room(), CAMERA, FIRST_BACKGROUND_FRAME + k))
         self.background = learner.model("test")
 
-    @staticmethod
-    def _pose() -> Pose:
-        return MOTIONS["walk"](Body.from_stature(1.75), 2.0, 15.0).poses[20]
-
-    def pipeline(self, light=1.0):
+    def pipeline(self):
         """A pipeline that has seen the person for some frames."""
-        pipeline = SilhouettePipeline(self.camera, self.background)
-        for k in range(4):
-            pipeline.run(SENSOR.expose(self.light * np.float32(light), CAMERA, k), k * FRAME_NS)
+        return self.run(SilhouettePipeline(self.camera, self.background), range(4))
+
+    def run(self, pipeline, frames, change=lambda light: light, after=lambda picture: picture):
+        """Show the person: the light changed before the sensor, the picture after it."""
+        for k in frames:
+            light = change(self.light).astype(np.float32)
+            pipeline.silhouette = pipeline.run(after(SENSOR.expose(light, CAMERA, k)), k * FRAME_NS)
         return pipeline
+
+    def most_px(self, pipeline):
+        return pipeline.background.state.displacement.most_px(self.light.shape)
 
 
 @pytest.fixture(scope="module")
@@ -70,62 +70,57 @@ def iou(found, truth):
     "displacement, light", [((-2.7, 1.3, 0.0), 1.0), ((1.0, 0.0, 0.005), 1.0), ((1.2, 0.9, 0.0), 1.2)]
 )
 def test_moved_picture_is_followed_in_its_first_frame(studio, displacement, light):
-    pipeline = studio.pipeline()
-    before = iou(pipeline.run(SENSOR.expose(studio.light, CAMERA, 4), 4 * FRAME_NS).image_mask, studio.person)
-    frame = moved(SENSOR.expose(studio.light * np.float32(light), CAMERA, 5), *displacement)
-    silhouette = pipeline.run(frame, 5 * FRAME_NS)
+    pipeline = studio.run(studio.pipeline(), [4])
+    before = iou(pipeline.silhouette.image_mask, studio.person)
+    studio.run(pipeline, [5], lambda p: p * light, lambda p: moved(p, *displacement))
     found = pipeline.background.state.displacement
     assert found[:2] == pytest.approx(displacement[:2], abs=0.1)
     assert found.roll_rad == pytest.approx(displacement[2], abs=3e-4)  # a tenth of a pixel in the corners
-    assert iou(silhouette.image_mask, moved(studio.person, *displacement)) > before - 0.05
+    assert iou(pipeline.silhouette.image_mask, moved(studio.person, *displacement)) > before - 0.05
     assert pipeline.background.state.switches == (light != 1.0)
 
 
-def test_camera_that_swings_is_followed_in_every_frame(studio):
-    pipeline = studio.pipeline()
-    for k, right_px in enumerate((2.0, -1.5, 1.0, -0.7, 0.5), start=4):
-        pipeline.run(moved(SENSOR.expose(studio.light, CAMERA, k), right_px, 0.0), k * FRAME_NS)
-        assert pipeline.background.state.displacement.right_px == pytest.approx(right_px, abs=0.15)
-
-
-def test_picture_that_lies_elsewhere_from_the_beginning(studio):
-    pipeline = SilhouettePipeline(studio.camera, studio.background)
-    pipeline.run(moved(SENSOR.expose(studio.light, CAMERA, 0), 0.6, -0.4), 0)
-    assert pipeline.background.state.displacement[:2] == pytest.approx((0.6, -0.4), abs=0.1)
+@pytest.mark.parametrize(("shown", "ways_px"), [(4, (2.0, -1.5, 1.0, -0.7, 0.5)), (0, (0.6,))])
+def test_camera_that_swings_or_lies_elsewhere_from_the_beginning_is_followed_in_every_frame(studio, shown, ways_px):
+    pipeline = studio.run(SilhouettePipeline(studio.camera, studio.background), range(shown))
+    for k, right_px in enumerate(ways_px, shown):
+        studio.run(pipeline, [k], after=lambda p, px=right_px: moved(p, px, -0.2 * px))
+        assert pipeline.background.state.displacement[:2] == pytest.approx((right_px, -0.2 * right_px), abs=0.15)
 
 
 def lamp(picture):
     v, u = np.indices(picture.shape)
-    return picture * (1 + 0.6 * np.exp(-((u - 100) ** 2 + (v - 150) ** 2) / (2 * 150.0**2))).astype(np.float32)
+    return picture * (1 + 0.6 * np.exp(-((u - 100) ** 2 + (v - 150) ** 2) / (2 * 150.0**2)))
 
 
 @pytest.mark.parametrize("change", [lambda p: p * 0.5, lambda p: p * 1.3, lamp])
 def test_other_light_moves_no_background(studio, change):
-    pipeline = studio.pipeline()
-    for k in range(4, 8):
-        pipeline.run(SENSOR.expose(change(studio.light).astype(np.float32), CAMERA, k), k * FRAME_NS)
+    pipeline = studio.run(studio.pipeline(), range(4, 8), change)
     assert pipeline.background.state.switches == 1
-    assert pipeline.background.state.displacement.most_px(studio.light.shape) == 0
+    assert studio.most_px(pipeline) == 0
+
+
+def near(picture, part):
+    """Somebody right before the camera."""
+    return picture[::-1, ::-1][part]
+
+
+def wall(picture, part):
+    """A stage wall that is pushed by two pixels."""
+    return moved(picture, 1.6, 1.2)[part]
 
 
 @pytest.mark.parametrize("begin", [0, 210])
-def test_what_covers_or_moves_a_third_of_the_picture_moves_no_background(studio, begin):
-    """Somebody right before the camera, and a stage wall that is pushed by two pixels."""
-    covered, pushed = studio.pipeline(), studio.pipeline()
-    part = slice(None), slice(begin, begin + 210)
-    for k in range(4, 8):
-        image = SENSOR.expose(studio.light, CAMERA, k)
-        near, wall = image.copy(), image.copy()
-        near[part] = image[::-1, ::-1][part]
-        wall[part] = moved(image, 1.6, 1.2)[part]
-        covered.run(near, k * FRAME_NS)
-        pushed.run(wall, k * FRAME_NS)
-    for pipeline in (covered, pushed):
-        assert pipeline.background.state.displacement.most_px(studio.light.shape) < 0.1
+@pytest.mark.parametrize("thing", [near, wall])
+def test_what_covers_or_moves_a_third_of_the_picture_moves_no_background(studio, begin, thing):
+    def partly(picture):
+        changed, part = picture.copy(), np.s_[:, begin : begin + 210]
+        changed[part] = thing(picture, part)
+        return changed
+
+    assert studio.most_px(studio.run(studio.pipeline(), range(4, 8), after=partly)) < 0.1
 
 
 def test_camera_that_was_turned_away_is_left_to_the_watch(studio):
-    pipeline = studio.pipeline()
-    for k in range(4, 12):
-        pipeline.run(moved(SENSOR.expose(studio.light, CAMERA, k), 15.0, 13.0), k * FRAME_NS)
-    assert pipeline.background.state.displacement.most_px(studio.light.shape) < 1.0  # of twenty
+    pipeline = studio.run(studio.pipeline(), range(4, 12), after=lambda p: moved(p, 15.0, 13.0))
+    assert studio.most_px(pipeline) < 1.0  # of twenty

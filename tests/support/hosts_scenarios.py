@@ -1,14 +1,9 @@
-"""Run by namespaces.py's `inside`: what happens on several hosts, told by lines on standard output.
+"""Run by namespaces.py's `inside`, hosts_scenarios.py FOLDER FAULT ...: a graph of two camera hosts, faults of the
+network one after the other, and what the doctor says, told by lines on standard output."""
 
-hosts_scenarios.py SCENARIO FOLDER [WORD ...] ; the scenarios are the functions below.
-"""
-
-import json
 import os
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 from doctor_fake_nodes import RIG
@@ -16,14 +11,9 @@ from namespaces import Condition, World
 
 from capture_rig import save_rig
 from sagoma_ros.middleware import PROFILE_VARIABLE, profile_file
-from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
-from virtual_studio.rig import ring
 
 ROOT = Path(__file__).resolve().parents[2]
-SERVER, CAMERAS = "server", ("cam01", "cam02", "cam03")
-DOMAIN = "3"
-PATIENCE_S = 300.0
+SERVER, DOMAIN = "server", "3"
 SAGOMA = (sys.executable, "-m", "sagoma_tools.cli")
 
 
@@ -31,9 +21,7 @@ def environment_in(folder):
     return {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder), PROFILE_VARIABLE: str(profile_file())}
 
 
-# --- a graph of two camera hosts, a fault of the network, and what the doctor says
-
-HOSTS, AWAY = CAMERAS[:2], "cam02"
+HOSTS, AWAY = ("cam01", "cam02"), "cam02"
 NODES = str(ROOT / "src/sagoma_tools/test/doctor_fake_nodes.py")
 SECONDS, LIFE_S = "4", "600"
 ANSWERS = """
@@ -113,53 +101,5 @@ def on_host(world, commands):
         subprocess.run(world.hosts[AWAY].enter(command.split()), check=True)
 
 
-# --- footage of three cameras on three hosts, the last one started later
-
-FPS, CLIP_S = 2.0, 15.0  # so few frames a second that a busy machine plays them
-BEGIN_S, WHOLE_SETS = 5.0, 10
-
-
-def footage(folder):
-    """Two lines of JSON: what `sagoma up --only cam01` says without a common beginning; and of the server's frame sets,
-    which cameras those before the first whole one lack, and the spread of the stamps of the first whole ones."""
-    session = write_session(folder / "session", ring(3, False), Body.from_stature(1.75), "walk", FPS, CLIP_S)
-    environment = environment_in(folder)
-    with World([SERVER, *CAMERAS]) as world:
-
-        def up(host, *options, **pipes):
-            words = ["up", str(session), "--only", host, "--loop", "--run-folder", str(folder / host), *options]
-            return world.hosts[host].start([*SAGOMA, *words], environment, **pipes)
-
-        alone = up("cam01", stderr=subprocess.PIPE, text=True)
-        print(json.dumps({"says": alone.communicate()[1], "status": alone.returncode}), flush=True)
-        values = {"epoch_ns": time.time_ns() + round(BEGIN_S * 1e9), "keep_up": "true", "wait_for_cameras": "false"}
-        settings = [f"cameras.footage.{key}={value}" for key, value in values.items()]
-
-        def play(host):
-            log = (folder / f"{host}.log").open("w")
-            up(host, *(word for text in settings for word in ("--set", text)), stdout=log, stderr=log)
-
-        command = [sys.executable, str(ROOT / "tests/support/hosts_listener.py"), *CAMERAS]
-        told = world.hosts[SERVER].start(command, environment, stdout=subprocess.PIPE)
-        patience = threading.Timer(PATIENCE_S, told.kill)
-        patience.start()
-        for host in (SERVER, *CAMERAS[:2]):
-            play(host)
-        early: list[list[str]] = []
-        spread_ms: list[float] = []
-        for each in filter(lambda each: "missing" in each, map(json.loads, told.stdout)):
-            if not each["missing"]:
-                spread_ms.append(each["spread_ms"])
-            elif not spread_ms:
-                if each["missing"] == ["cam03"] and ["cam03"] not in early:  # the first hosts play: now the last one
-                    play("cam03")
-                early.append(each["missing"])
-            if len(spread_ms) == WHOLE_SETS:
-                break
-        patience.cancel()
-        print(json.dumps({"early": early, "spread_ms": spread_ms}), flush=True)
-
-
 if __name__ == "__main__":
-    scenario, folder, *words = sys.argv[1:]
-    {"faults": faults, "footage": footage}[scenario](Path(folder), *words)
+    faults(Path(sys.argv[1]), *sys.argv[2:])

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import os
 import re
-import signal
-import subprocess
 import sys
 import types
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,6 @@ from typing import Any
 import pytest
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
-END_S = 30.0
 
 
 class Context:
@@ -81,17 +78,6 @@ class Node:
     respawn_delay: float | None = None
     on_exit: list[Shutdown] | None = None
     full_namespace: str | None = None
-
-    def ros_arguments(self) -> list[str]:
-        """What launch_ros appends to the command."""
-        said = ["--ros-args"]
-        if self.name is not None:
-            said += ["-r", f"__node:={self.name}"]
-        if self.full_namespace is not None:
-            said += ["-r", f"__ns:={self.full_namespace}"]
-        for file in self.parameters:
-            said += ["--params-file", file]
-        return said
 
 
 def below(base: str | None, namespace: str | None) -> str | None:
@@ -183,29 +169,8 @@ def _visit(entities: Iterable[Any], context: Context) -> Iterator[Node]:
             yield entity
 
 
-# --- its processes
-
-
 def module_of(package: str, executable: str) -> str:
     """The module that the package's setup.py names for an executable."""
     found = re.search(rf'"{executable} = ([\w.]+):main"', (SOURCES / package / "setup.py").read_text())
     assert found is not None, f"{package} has no executable {executable}"
     return found[1]
-
-
-@contextmanager
-def running(nodes: list[Node]) -> Iterator[list[subprocess.Popen]]:
-    """The processes that launch would start for these nodes; ended as by Ctrl-C."""
-    commands = [
-        [sys.executable, "-m", module_of(n.package, n.executable), *n.arguments, *n.ros_arguments()] for n in nodes
-    ]
-    processes = [subprocess.Popen(command) for command in commands]
-    try:
-        yield processes
-    finally:
-        for process in processes:
-            process.send_signal(signal.SIGINT)
-        for process in processes:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(END_S)
-            process.kill()

@@ -60,12 +60,6 @@ class Condition:
         return any((self.delay_ms, self.jitter_ms, self.loss, self.duplicate))
 
 
-def tbf_words(condition: Condition) -> list[str]:
-    """Return the rate in the words of `tc qdisc ... tbf`."""
-    burst = max(LEAST_BURST, round(condition.rate_mbit * 1e6 / 8 * BURST_S))
-    return ["tbf", "rate", f"{condition.rate_mbit:g}mbit", "burst", str(burst), "latency", f"{QUEUE_MS}ms"]
-
-
 def why_not() -> str:
     """Return why there can be no such namespaces here; "" when there can."""
     missing = [tool for tool in TOOLS if shutil.which(tool) is None]
@@ -147,14 +141,14 @@ class Host:
 class Cable:
     """From one host to the bridge."""
 
-    def __init__(self, world: World, host: Host, number: int, mtu: int) -> None:
-        self._world, self._host, self._mtu = world, host, mtu
+    def __init__(self, world: World, host: Host, number: int) -> None:
+        self._world, self._host = world, host
         self.port, self._inner, self._outer = f"port{number}", f"inner{number}", f"outer{number}"
-        sh(f"ip link add {self.port} mtu {mtu} type veth peer name eth0 mtu {mtu} netns {host.anchor.pid}")
+        sh(f"ip link add {self.port} mtu {MTU} type veth peer name eth0 mtu {MTU} netns {host.anchor.pid}")
         self._on_host(f"ip addr add {host.address}/{BITS} dev eth0")
         # a packet socket would hand on checksums that were left to a card
         self._on_host(f"{sys.executable} {EMULATOR} --no-offload eth0")
-        sh(f"ip link add {self._inner} mtu {mtu} type veth peer name {self._outer} mtu {mtu}")
+        sh(f"ip link add {self._inner} mtu {MTU} type veth peer name {self._outer} mtu {MTU}")
         self._join(self._outer)
         for name in (self.port, self._inner, self._outer):
             sh(f"ip link set {name} up")
@@ -175,7 +169,9 @@ class Cable:
             self._join(self.port)
         for run, device in ((sh, self.port), (self._on_host, "eth0")):
             if condition.rate_mbit:
-                run(f"tc qdisc replace dev {device} root {' '.join(tbf_words(condition))}")
+                burst = max(LEAST_BURST, round(condition.rate_mbit * 1e6 / 8 * BURST_S))
+                shape = f"tbf rate {condition.rate_mbit:g}mbit burst {burst} latency {QUEUE_MS}ms"
+                run(f"tc qdisc replace dev {device} root {shape}")
             else:
                 with contextlib.suppress(subprocess.CalledProcessError):  # there was none
                     run(f"tc qdisc del dev {device} root")
@@ -200,7 +196,7 @@ class Cable:
 
     def set_host_mtu(self, mtu: int | None) -> None:
         """Let the host alone send packets of another size than the bridge takes; None: as the cable was made."""
-        self._on_host(f"ip link set eth0 mtu {mtu or self._mtu}")
+        self._on_host(f"ip link set eth0 mtu {mtu or MTU}")
 
     def _on_host(self, command: str) -> None:
         sh(*self._host.enter(command.split()))
@@ -209,15 +205,13 @@ class Cable:
 class World:
     """Hosts on a bridge; a context manager.
 
-    mtus : of single hosts' cables, by name; seed : of the packets' fates; multicast : whether the bridge passes it on.
+    seed : of the packets' fates; multicast : whether the bridge passes it on.
     """
 
-    def __init__(
-        self, names: Sequence[str], mtus: Mapping[str, int] | None = None, seed: int = 0, multicast: bool = True
-    ) -> None:
+    def __init__(self, names: Sequence[str], seed: int = 0, multicast: bool = True) -> None:
         if not is_inside():
             raise RuntimeError("namespaces are made in a process that namespaces.inside has started")
-        self._names, self._mtus, self._seed, self.multicast = names, mtus or {}, seed, multicast
+        self._names, self._seed, self.multicast = names, seed, multicast
         self.hosts: dict[str, Host] = {}
         self.cables: dict[str, Cable] = {}
 
@@ -232,7 +226,7 @@ class World:
         for number, name in enumerate(self._names, start=1):
             host = Host(name, f"{NETWORK}.{number}", _anchor())
             self.hosts[name] = host
-            self.cables[name] = Cable(self, host, number, self._mtus.get(name, MTU))
+            self.cables[name] = Cable(self, host, number)
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -38,8 +37,7 @@ class ContinuousAngles:
 class IsbAngles(PersonNode):
     """Publishes PERSON/isb_angles, sensor_msgs/JointState in radians, with the stamp of the frame set."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__("isb_angles", **options)
+    Name = "isb_angles"
 
     def configure(self) -> None:
         """Open the topic."""

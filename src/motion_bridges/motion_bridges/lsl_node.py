@@ -36,11 +36,7 @@ class LslBridge(PersonNode):
     Its time stamps are the instants of exposure by LSL's clock.
     """
 
-    Settings = LslSettings
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__("lsl_bridge", **options)
-        self._outlet: Any = None
+    Name, Settings = "lsl_bridge", LslSettings
 
     def configure(self) -> None:
         """Load the library, offer the stream."""
@@ -54,11 +50,7 @@ class LslBridge(PersonNode):
         if self.settings.scope == MACHINE:
             pylsl.set_config_content("[multicast]\nResolveScope = machine\n")
         self._outlet = pylsl.StreamOutlet(self._description(list(self._angles.update(T_POSE_STICKS))))
-
-    def cleanup(self) -> None:
-        """Take the stream back."""
-        super().cleanup()
-        self._outlet = None
+        self._closing.append(lambda: delattr(self, "_outlet"))  # takes the stream back
 
     def send(self, instant: Instant) -> None:
         """Send an instant."""

@@ -47,10 +47,11 @@ class Instant:
 class PersonNode(SagomaNode, ABC):
     """Calls :meth:`send` with every frame set in which the person has a pose. It starts by itself."""
 
+    Name: ClassVar[str]
     Settings: ClassVar[type] = PersonSettings
 
-    def __init__(self, name: str, **options: Any) -> None:
-        super().__init__(name, **options)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(self.Name, **options)
         if "autostart" not in self._parameter_overrides:  # nothing that has to wait for a supervisor
             self.set_parameters([Parameter("autostart", value=True)])
         self._closing: list[Callable[[], object]] = []

@@ -89,10 +89,7 @@ class VmcSettings(PersonSettings):
 class VmcBridge(PersonNode):
     """Sends every frame set as one bundle of OSC over UDP, in the Virtual Motion Capture protocol."""
 
-    Settings = VmcSettings
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__("vmc_bridge", **options)
+    Name, Settings = "vmc_bridge", VmcSettings
 
     def configure(self) -> None:
         """Open the socket."""

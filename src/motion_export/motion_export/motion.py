@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,23 +29,6 @@ NEAR_A_CAMERA_RATE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """One person's filtered states as they were recorded, in stamp order.
-
-    stamps_ns : (N,) increasing. points_world : (N, 15, 3) m; covariance : (N, 15, 3, 3) m^2. angles : (N, 18) rad.
-    torso_position_world : (N, 3) m; R_world_torso : (N, 3, 3). states : (N,) the tracker's state.
-    """
-
-    stamps_ns: Array
-    points_world: Array
-    covariance: Array
-    angles: Array
-    torso_position_world: Array
-    R_world_torso: Array
-    states: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Motion:
     """One person's motion at a constant rate; world frame of REP-103 (z up), metres, radians, seconds.
 
@@ -68,29 +52,27 @@ class Motion:
         return len(self.states)
 
     @classmethod
-    def of_samples(cls, samples: Samples, name: str, rate_hz: float | None = None) -> Motion:
+    def of_samples(
+        cls, name: str, stamps_ns: Array, states: Array, columns: Mapping[str, Array], rate_hz: float | None = None
+    ) -> Motion:
         """Place samples on frames of a constant rate, each on the nearest frame; frames without a sample are gaps.
 
-        ``rate_hz`` : else that of the median interval. Raises InputError for fewer than two samples or a bad rate.
+        stamps_ns : (N,) increasing; states : (N,); columns : the other arrays of this class by name, a row a sample.
+        rate_hz : else that of the median interval. Raises InputError for fewer than two samples or a bad rate.
         """
-        stamps = np.asarray(samples.stamps_ns, np.int64)
-        if len(stamps) < SHORTEST_FRAMES:
-            raise InputError(f"{name} has {len(stamps)} tracked frames", remedy="Export a take in which a body moves.")
-        rate = rate_hz if rate_hz is not None else usual_rate(stamps)
+        if len(stamps_ns) < SHORTEST_FRAMES:
+            remedy = "Export a take in which a body moves."
+            raise InputError(f"{name} has {len(stamps_ns)} tracked frames", remedy=remedy)
+        rate = rate_hz if rate_hz is not None else usual_rate(stamps_ns)
         if not (np.isfinite(rate) and rate > 0):
             raise InputError(f"a rate of {rate} Hz is none", remedy="Give frames a second, above 0.")
-        frames = np.rint((stamps - stamps[0]) * (rate / NS_PER_S)).astype(int)
+        frames = np.rint((stamps_ns - stamps_ns[0]) * (rate / NS_PER_S)).astype(int)
         frames, first = np.unique(frames, return_index=True)
         tracked = np.isin(np.arange(frames[-1] + 1), frames)
-        states = np.full(len(tracked), UNTRACKED, dtype=object)
-        states[tracked] = np.asarray(samples.states)[first]
-
-        def spread(values: Array) -> Array:
-            return in_frames(values[first], tracked)
-
-        points, covariance, angles = map(spread, (samples.points_world, samples.covariance, samples.angles))
-        place, R = spread(samples.torso_position_world), spread(samples.R_world_torso)
-        return cls(name, float(rate), int(stamps[0]), points, covariance, angles, place, R, states)
+        spread = {column: in_frames(values[first], tracked) for column, values in columns.items()}
+        all_states = np.full(len(tracked), UNTRACKED, dtype=object)
+        all_states[tracked] = states[first]
+        return cls(name, float(rate), int(stamps_ns[0]), states=all_states, **spread)
 
     @cached_property
     def R_world_sticks(self) -> Array:

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pygltflib as gltf
 import pytest
-from export_motions import BODY, START_NS, swinging, swinging_samples
+from export_motions import BODY, START_NS, swinging
 from scipy.spatial.transform import Rotation, Slerp
 
 from motion_export.animation_files import write_bvh, write_glb
@@ -41,7 +41,7 @@ def osim() -> ModuleType:
 def growing() -> Motion:
     """A take during which the body was refined: bones change by centimetres."""
     bodies = [replace(BODY, half_lengths=BODY.half_lengths * (1.0 + 0.0005 * k)) for k in range(90)]
-    return Motion.of_samples(swinging_samples(bodies=bodies), "take")
+    return swinging(bodies=bodies)
 
 
 @pytest.mark.parametrize("motion", [swinging(gap=GAP), growing()], ids=["gap", "growing"])

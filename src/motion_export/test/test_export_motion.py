@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from export_motions import RATE_HZ, START_NS, swinging, swinging_samples, without
+from export_motions import RATE_HZ, START_NS, swinging
 
 from capture_rig.errors import InputError
-from motion_export.motion import Motion, fill_linearly, fill_rotations, usual_rate
+from motion_export.motion import fill_linearly, fill_rotations, usual_rate
 
 
 def test_frames_lie_on_the_rate_of_the_stamps_and_a_gap_is_nan() -> None:
@@ -24,7 +24,7 @@ def test_stamps_that_jitter_fall_on_the_usual_rate() -> None:
 
 
 def test_another_rate_takes_the_nearest_samples() -> None:
-    motion = Motion.of_samples(swinging_samples(), "take", 30.0)
+    motion = swinging(rate_hz=30.0)
     assert len(motion) == 45 and motion.tracked.all()
 
 
@@ -39,6 +39,6 @@ def test_filled_gaps_lie_between_their_ends() -> None:
 
 def test_too_short_a_take_and_a_rate_that_is_none_are_refused() -> None:
     with pytest.raises(InputError, match="1 tracked frames"):
-        Motion.of_samples(without(swinging_samples(), 1, 90), "take")
+        swinging(gap=(1, 90))
     with pytest.raises(InputError, match="rate"):
-        Motion.of_samples(swinging_samples(), "take", -5.0)
+        swinging(rate_hz=-5.0)

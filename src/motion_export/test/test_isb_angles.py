@@ -43,26 +43,23 @@ def test_a_raised_arm_is_elevated_by_90_degrees_in_its_plane(side, raised_deg, s
     assert angles[f"{side}_shoulder_plane_of_elevation"] == pytest.approx(plane_deg, abs=near)
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize(
-    ("name", "degrees", "isb", "expected"),
+    ("joint", "left_deg", "mirrored", "isb", "expected"),
     [
-        ("left_elbow", -70.0, "left_elbow_flexion", 70.0),
-        ("right_elbow", -70.0, "right_elbow_flexion", 70.0),
-        ("left_knee", 50.0, "left_knee_flexion", 50.0),
-        ("right_knee", 50.0, "right_knee_flexion", 50.0),
-        ("left_hip_y", -40.0, "left_hip_flexion", 40.0),
-        ("right_hip_y", -40.0, "right_hip_flexion", 40.0),
-        ("left_hip_x", 20.0, "left_hip_adduction", -20.0),
-        ("right_hip_x", -20.0, "right_hip_adduction", -20.0),
-        ("left_hip_z", 15.0, "left_hip_internal_rotation", -15.0),
-        ("right_hip_z", 15.0, "right_hip_internal_rotation", 15.0),
-        ("neck_y", 25.0, "neck_flexion", 25.0),
+        ("elbow", -70.0, 1.0, "elbow_flexion", 70.0),
+        ("knee", 50.0, 1.0, "knee_flexion", 50.0),
+        ("hip_y", -40.0, 1.0, "hip_flexion", 40.0),
+        ("hip_x", 20.0, -1.0, "hip_adduction", -20.0),
+        ("hip_z", 15.0, -1.0, "hip_internal_rotation", -15.0),
     ],
 )
-def test_one_joint_turned(name: str, degrees: float, isb: str, expected: float) -> None:
-    assert angles_of(**{name: degrees})[isb] == pytest.approx(expected, abs=1e-6)
+def test_the_same_movement_of_both_sides_has_the_same_angle(side, joint, left_deg, mirrored, isb, expected):
+    degrees = left_deg * (mirrored if side == "right" else 1.0)
+    assert angles_of(**{f"{side}_{joint}": degrees})[f"{side}_{isb}"] == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_trunk_that_bends_forward_tilts_negatively_and_one_that_turns_left_rotates_positively() -> None:
+def test_signs_of_a_nod_of_a_bend_forward_and_of_a_turn_to_the_left() -> None:
     assert angles_of(np.array([0.0, np.deg2rad(30.0), 0.0]))["thorax_tilt"] == pytest.approx(-30.0)
     assert angles_of(np.array([0.0, 0.0, np.deg2rad(40.0)]))["thorax_axial_rotation"] == pytest.approx(40.0)
+    assert angles_of(neck_y=25.0)["neck_flexion"] == pytest.approx(25.0)

@@ -68,28 +68,28 @@ def shift(*offset: float) -> np.ndarray:
 @pytest.mark.parametrize("order", ORDERS)
 def test_joints_of_a_bvh_lie_where_matrices_put_them_for_every_order_of_rotation(tmp_path: Path, order: str) -> None:
     values = np.array([0.5, -1.0, 2.0, 20.0, -35.0, 50.0, 15.0, 70.0, -40.0])
-    motion = read_bvh(arm(tmp_path / "a.bvh", order, order[::-1], " ".join(f"{v:g}" for v in values)))
+    joints, _ = read_bvh(arm(tmp_path / "a.bvh", order, order[::-1], " ".join(f"{v:g}" for v in values)))
     T = shift(*values[:3])
     for axis, degrees in zip(order, values[3:6], strict=True):
         T = T @ turn(axis, degrees)
-    np.testing.assert_allclose(motion.of("Hips")[0], T[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(joints["Hips"][0], T[:3, 3], atol=1e-12)
     T = T @ shift(0, 10, 0)
-    np.testing.assert_allclose(motion.of("Arm")[0], T[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(joints["Arm"][0], T[:3, 3], atol=1e-12)
     for axis, degrees in zip(order[::-1], values[6:], strict=True):
         T = T @ turn(axis, degrees)
-    np.testing.assert_allclose(motion.of("Arm_end")[0], (T @ shift(5, 0, 2))[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(joints["Arm_end"][0], (T @ shift(5, 0, 2))[:3, 3], atol=1e-12)
 
 
 def test_rate_and_frames_follow_the_header_and_positions_without_a_channel_the_offset(tmp_path: Path) -> None:
     rows = "1 0 0 0 0 0 0 0 0\n2 0 0 0 0 0 0 0 0\n"
-    motion = read_bvh(arm(tmp_path / "a.bvh", rows=rows, frames=2, period="0.0083333"))
-    assert motion.fps == pytest.approx(120.0, rel=1e-4)
-    np.testing.assert_allclose(motion.of("Hips")[:, 0], [1.0, 2.0])
+    joints, fps = read_bvh(arm(tmp_path / "a.bvh", rows=rows, frames=2, period="0.0083333"))
+    assert fps == pytest.approx(120.0, rel=1e-4)
+    np.testing.assert_allclose(joints["Hips"][:, 0], [1.0, 2.0])
     text = "HIERARCHY\nROOT a b {\nOFFSET 1 2 3\nCHANNELS 1 yposition\nEnd Site { OFFSET 0 1 0 }\n}\n"
     (tmp_path / "b.bvh").write_text(text + "MOTION\nFrames: 1\nFrame Time: 0.1\n7\n")
-    motion = read_bvh(tmp_path / "b.bvh")
-    np.testing.assert_allclose(motion.of("a b")[0], [1, 7, 3])
-    np.testing.assert_allclose(motion.of("a b_end")[0], [1, 8, 3])
+    joints, _ = read_bvh(tmp_path / "b.bvh")
+    np.testing.assert_allclose(joints["a b"][0], [1, 7, 3])
+    np.testing.assert_allclose(joints["a b_end"][0], [1, 8, 3])
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
-from virtual_studio.motions.catalogue import HARD_CASES, MOTIONS, T_POSE_S, t_pose_only, tour, walk
+from stick_figure.skeleton import T_POSE_ANGLES
+from virtual_studio.motions.catalogue import HARD_CASES, MOTIONS, T_POSE_S, t_pose_only, tour
 from virtual_studio.motions.together import OUTSIDE_M, TOGETHER
-from virtual_studio.people import ANKLE_HEIGHT, OUTFITS, VolumetricBody, people_of_sizes, person_of
+from virtual_studio.people import OUTFITS, VolumetricBody, people_of_sizes, person_of
 from virtual_studio.recording.session import write_scene
 from virtual_studio.rig import VOLUME, azimuths, ring
 
@@ -22,12 +22,6 @@ BODY = Body.from_stature(1.75)
 @cache
 def whole_tour():
     return tour(BODY, seconds=21.0, fps=60)
-
-
-def test_all_angles_stay_inside_the_joint_ranges():
-    for motion in (whole_tour(), walk(BODY, 6.0, 60)):
-        assert (motion.angles > ANGLE_LOW - 1e-12).all()
-        assert (motion.angles < ANGLE_HIGH + 1e-12).all()
 
 
 def test_angles_of_the_poses_are_the_stated_ones():
@@ -45,40 +39,6 @@ def test_motion_starts_with_one_second_of_exact_t_pose_and_a_t_pose_alone_never_
     assert np.abs(whole_tour().angles[frames + 60] - T_POSE_ANGLES).max() > 1.0
     alone = t_pose_only(BODY, 2.0, 30)
     assert len(alone.poses) == 60 and np.ptp(alone.angles, axis=0).max() == 0.0
-
-
-def test_joints_and_torso_move_smoothly():
-    speed = np.diff(whole_tour().angles, axis=0) * 60
-    acceleration = np.diff(speed, axis=0) * 60
-    assert np.abs(speed).max() < 12.0  # rad/s
-    assert np.abs(acceleration).max() < 120.0  # rad/s^2
-    points = np.array([forward(BODY, pose) for pose in whole_tour().poses])
-    velocity = np.diff(points, axis=0) * 60
-    assert np.linalg.norm(velocity, axis=-1).max() < 6.0  # m/s, the fastest hand
-    assert np.linalg.norm(np.diff(velocity[:, 0], axis=0) * 60, axis=-1).max() < 25.0  # m/s^2 of the torso
-
-
-def test_every_joint_takes_part_in_the_tour():
-    assert (np.ptp(whole_tour().angles, axis=0) > 0.1).all()
-    turned = [np.arctan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0]) for pose in whole_tour().poses]
-    assert np.ptp(np.unwrap(turned)) > 1.5
-    heights = [pose.position_world[2] for pose in whole_tour().poses]
-    assert np.ptp(heights) > 0.25  # the squat
-
-
-def test_lower_foot_stands_on_the_floor():
-    ankles = np.array([forward(BODY, pose)[13:15, 2].min() for pose in whole_tour().poses])
-    standing = ANKLE_HEIGHT * BODY.stature
-    assert np.abs(ankles - standing).max() < 0.008
-
-
-def test_person_stays_inside_the_capture_volume():
-    person = VolumetricBody(BODY)
-    for pose in whole_tour().poses[::6]:
-        capsules = person.place(pose)
-        ends = np.vstack([capsules.starts, capsules.ends])
-        assert (ends > VOLUME.low + 0.04).all()
-        assert (ends < VOLUME.high - 0.02).all()
 
 
 @pytest.mark.parametrize("motion", [tour, HARD_CASES["leave_and_return"]], ids=["tour", "leave and return"])
@@ -120,13 +80,6 @@ def test_ring_stands_where_it_should_and_looks_at_the_centre():
     assert rig.cameras[5].centre_world[2] > 3.0
     with pytest.raises(InputError, match="0 cameras"):
         ring(0)
-
-
-def test_every_camera_sees_the_whole_person_all_the_time():
-    for camera in ring(5).cameras:
-        for pose in whole_tour().poses[::15]:
-            pixels = camera.project(forward(BODY, pose))
-            assert (pixels > 2).all() and (pixels < [637, 477]).all()
 
 
 # --- several persons --------------------------------------------------------------------------------------------------

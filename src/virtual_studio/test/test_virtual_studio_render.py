@@ -9,19 +9,10 @@ import pytest
 
 from capture_rig.rig import Rig
 from stick_figure.body import Body
-from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import tour
 from virtual_studio.people import OUTFITS, VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes, Sensor, VirtualCamera
-from virtual_studio.rendering.capsules import (
-    CELL_M,
-    DARKNESS,
-    HALF_WIDTH_M,
-    LAMP_POINTS,
-    LAMPS_WORLD,
-    floor_shadow,
-    hit_capsule,
-)
+from virtual_studio.rendering.capsules import CELL_M, DARKNESS, HALF_WIDTH_M, LAMP_POINTS, LAMPS_WORLD, floor_shadow
 from virtual_studio.rig import DOOR_HEIGHT_M, DOOR_Y_M, open_door, ring, view_room
 from virtual_studio.rig import HALF_WIDTH_M as HALF_ROOM_M
 
@@ -84,72 +75,6 @@ def test_part_around_the_camera_does_not_break_the_picture():
     light, mask = camera.render(behind, None)
     assert mask.max() == 0
     np.testing.assert_array_equal(light, camera.empty_room())
-
-
-@pytest.mark.slow
-def test_hit_distance_lies_on_the_surface_for_any_taper():
-    rng = np.random.default_rng(1)
-    hits = 0
-    for _ in range(800):
-        a, b, ra, rb = rng.normal(size=3), rng.normal(size=3), *rng.uniform(0.05, 0.8, 2)
-        origin = 4.0 * rng.normal(size=3)
-        ray = a + rng.normal(size=3) * 0.5 - origin
-        ray /= np.linalg.norm(ray)
-        t = hit_capsule(tuple(origin), tuple(ray), tuple(a), tuple(b), ra, rb)
-        u = np.linspace(0, 1, 2001)
-        radii = ra + u * (rb - ra)
-
-        def signed_distance(t, a=a, b=b, u=u, radii=radii, origin=origin, ray=ray):
-            return (np.linalg.norm(origin + t * ray - a - u[:, None] * (b - a), axis=1) - radii).min()
-
-        if signed_distance(0.0) <= 0.0:
-            continue  # the camera is never inside the body
-        if np.isfinite(t):
-            hits += 1
-            assert signed_distance(t) == pytest.approx(0.0, abs=5e-5)
-            assert min(signed_distance(s) for s in np.linspace(0, t - 1e-3, 25)) > 0.0
-        else:
-            least = clearance(origin, ray[None], a[None], b[None], np.array([[ra, rb]]))[0, 0]
-            assert least > -1e-9 or (a - origin) @ ray < 2.0  # missed, or it lies behind
-    assert hits > 200
-
-
-def test_truth_points_project_into_the_mask():
-    inside = total = 0
-    poses = motion().poses[::3]
-    for pose in poses:
-        capsules, points = PERSON.place(pose), forward(BODY, pose)
-        for camera in cameras():
-            _, mask = camera.render(capsules, None)
-            pixels = np.rint(camera.camera.project(points)).astype(int)
-            seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
-            inside += (mask[tuple(pixels[seen].T[::-1])] > 0).sum()
-            total += seen.sum()
-    assert total > 0.98 * 15 * 3 * len(poses)
-    assert inside / total >= 0.99
-
-
-def test_torso_is_wider_than_deep_and_sizes_are_a_persons():
-    capsules = PERSON.place(motion().poses[0])
-    low = np.minimum(capsules.starts - capsules.radii[:, :1], capsules.ends - capsules.radii[:, 1:]).min(0)
-    high = np.maximum(capsules.starts + capsules.radii[:, :1], capsules.ends + capsules.radii[:, 1:]).max(0)
-    assert high[2] == pytest.approx(1.72, abs=0.02)
-    assert -0.005 < low[2] < 0.02
-    x, y, z = np.meshgrid(*(np.arange(a, b, 0.025) for a, b in zip(low, high, strict=True)), indexing="ij")
-    grid = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
-    inside = np.zeros(len(grid), bool)
-    for a, b, (ra, rb) in zip(capsules.starts, capsules.ends, capsules.radii, strict=True):
-        u = np.linspace(0, 1, 9)
-        for centre, r in zip(a + u[:, None] * (b - a), ra + u * (rb - ra), strict=True):
-            inside |= ((grid - centre) ** 2).sum(1) < r * r
-    assert 0.050 < inside.sum() * 0.025**3 < 0.095  # cubic metres, a person of 55 to 100 kg
-    chest = grid[inside & (np.abs(grid[:, 2] - 1.25) < 0.02)]
-    width, depth = np.ptp(chest[:, 1]), np.ptp(chest[:, 0])
-    assert 1.3 < width / depth < 2.2
-    for foot in (-4, -2):  # level, and pointing forward
-        along = capsules.ends[foot] - capsules.starts[foot]
-        assert along[0] > 0.12
-        assert abs(along[2]) < 0.03
 
 
 def test_person_darkens_the_floor_beside_it_by_the_strength_given_and_nowhere_far():
@@ -220,19 +145,6 @@ def test_open_door_is_dark_and_as_large_as_a_door():
     np.testing.assert_array_equal(open_door(camera, view, 0.0).grey, view.grey)
 
 
-def test_room_looks_the_same_place_by_place_from_two_cameras():
-    points = np.column_stack([np.random.default_rng(3).uniform(-1.3, 1.3, (4000, 2)), np.zeros(4000)])
-    greys = np.full((3, len(points)), np.nan)
-    for grey, eye in zip(greys, cameras(), strict=True):
-        pixels = np.rint(eye.camera.project(points))
-        seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
-        grey[seen] = eye._view.grey[tuple(pixels[seen].astype(int).T[::-1])]
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        both = np.isfinite(greys[a]) & np.isfinite(greys[b])
-        assert both.sum() > 1000
-        assert np.corrcoef(greys[a][both], greys[b][both])[0, 1] > 0.6
-
-
 @pytest.mark.parametrize("shape", [(480, 640), (1200, 1920, 3)])
 def test_sensor_adds_the_stated_noise_anew_in_every_frame_and_repeats_itself(shape):
     sensor, light = Sensor(noise=3.0, flicker=0.0, seed=7), np.full(shape, 0.5, np.float32)
@@ -244,17 +156,11 @@ def test_sensor_adds_the_stated_noise_anew_in_every_frame_and_repeats_itself(sha
         assert difference.std() == pytest.approx(3.0 * np.sqrt(2.0), rel=0.01)  # uncorrelated to 0.02
 
 
-def test_lamps_flicker_by_the_stated_share():
-    flickering = Sensor(noise=0.0, flicker=0.01, seed=1)
-    light = np.full((9, 9), 0.5, np.float32)
+def test_lamps_flicker_by_the_stated_share_and_bright_light_saturates_instead_of_wrapping():
+    flickering, light = Sensor(noise=0.0, flicker=0.01, seed=1), np.full((9, 9), 0.5, np.float32)
     means = [flickering.expose(light, 0, frame).mean() / 120.0 for frame in range(300)]
     assert np.std(means) == pytest.approx(0.01, rel=0.2)
-
-
-def test_bright_light_saturates_instead_of_wrapping():
-    light = np.stack([np.full((100, 50), 1.5, np.float32), np.zeros((100, 50), np.float32)])
-    bright, dark = (Sensor(noise=30.0).expose(one, 0, 0) for one in light)
-    assert bright.min() > 200 and np.median(dark) < 30
+    assert Sensor(noise=30.0).expose(3.0 * light, 0, 0).min() > 200
 
 
 # --- Silhouettes without pictures equal those of the rendered sessions.

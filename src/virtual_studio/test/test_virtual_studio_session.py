@@ -76,12 +76,6 @@ def test_footage_shows_the_person_where_the_mask_is(session_folder):
             assert np.median(outside) < 6
 
 
-def test_footage_keeps_noise_after_decoding(session_folder):
-    empty = read_grey(load_session(session_folder).backgrounds["cam01"]).astype(float)
-    still = empty - empty.mean((1, 2), keepdims=True)  # without flicker
-    assert 0.8 < still.std(0).mean() < 3.5
-
-
 def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path):
     again = write_session(tmp_path / "again", settings=RenderSettings(seed=4), **SETTINGS)
     for kind in ("videos", "masks", "backgrounds"):
@@ -113,7 +107,6 @@ def test_interrupted_writing_leaves_the_older_session_and_no_rest(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_session(folder, **(short | {"seconds": 0.5}), progress=stop)
     assert (folder / "truth.csv").read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir()] == ["session"]
     write_session(folder, **(short | {"seconds": 0.3}))
     assert len(load_session(folder).truth.frames) == 3
     assert [path.name for path in tmp_path.iterdir()] == ["session"]
@@ -185,21 +178,6 @@ def test_waved_board_reaches_all_sides_of_the_picture_and_is_tilted_to_all_sides
     assert tilts_deg.max(axis=0).min() > 35.0 and tilts_deg.min(axis=0).max() < -35.0
     depths = [(camera.T_camera_world @ T @ [*HAND.middle_board, 1.0])[2] for T in poses]
     assert min(depths) < 0.6 and 1.2 < max(depths) < 1.6
-
-
-def test_waved_board_leaves_the_picture_for_some_time_and_moves_between_rests():
-    camera = SIX.cameras[1]
-    waved = wave(camera, HAND, 2)
-    outside = [corners_px(camera, HAND, waved.path(t)) is None for t in (0.0, waved.duration_s)]
-    assert outside == [True, True]
-
-    def speed_px(t):
-        before, after = (camera.project((waved.path(x) @ [*HAND.middle_board, 1.0])[:3]) for x in (t - 0.01, t + 0.01))
-        return np.linalg.norm(after - before) / 0.02
-
-    resting = [speed_px(t) for t in waved.rests_s]
-    travelling = [speed_px(t) for t in waved.rests_s[1:] - 0.5]
-    assert max(resting) < 25.0 and np.median(travelling) > 100.0
 
 
 def test_carried_board_is_shared_by_neighbours_and_by_the_camera_above():

@@ -59,7 +59,7 @@ def _session(options: argparse.Namespace) -> int:
         return 0
     motion: str | MotionFunction = options.motion
     if is_motion_file(options.motion):
-        motion = RecordedMotion(Path(options.motion), options.motion_up, options.motion_joints, options.motion_start)
+        motion = RecordedMotion(Path(options.motion), options.motion_up)
     folder = write_session(options.folder, rig, body, motion, options.fps, options.seconds, look, progress)
     frames = len((folder / "truth.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"{folder}: {len(rig.cameras)} cameras x {frames} frames in {time.monotonic() - started:.1f} s")
@@ -99,9 +99,7 @@ def _session_parser() -> argparse.ArgumentParser:
     _add_common_arguments(parser, motions, "of noise and flicker")
     option("--seconds", type=SECONDS, default=6.0, help="length, s (of a file: at most); first a T-pose")
     option("--fps", type=FRAME_RATE, default=SESSION_FPS, help="frames a second")
-    option("--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out")
     option("--motion-up", default="y", help="the file's axis that points up")
-    option("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
     option("--stature", type=number("m", *STATURES_M), default=TYPICAL_STATURE_M, help="standing height, m")
     option("--build", type=BUILD, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
     option("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")

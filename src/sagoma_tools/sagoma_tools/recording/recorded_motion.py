@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import PART_NAMES, ReferencePoints
-from motion_export.motion import Motion, Samples
+from motion_export.motion import Motion
 from sagoma_ros.messages import values_of
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
@@ -95,34 +95,33 @@ def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str,
     if FIRST in rows:
         rows[FIRST_BODY_ID] = rows.pop(FIRST)
     found = {body_id: _samples(of_person) for body_id, of_person in sorted(rows.items())}
-    found = {body_id: samples for body_id, samples in found.items() if len(samples.stamps_ns) > 1}
+    found = {body_id: samples for body_id, samples in found.items() if len(samples[0]) > 1}
     name = Path(bag).resolve().name
     if not found:
         remedy = "Record /mocap/reference_points, /mocap/joint_states and /mocap/torso while the graph tracks a person."
         raise InputError("holds no tracked person", where=str(bag), remedy=remedy)
     return {
-        body_id: Motion.of_samples(samples, name if len(found) == 1 else f"{name}_{body_id}", rate_hz)
+        body_id: Motion.of_samples(name if len(found) == 1 else f"{name}_{body_id}", *samples, rate_hz)
         for body_id, samples in found.items()
     }
 
 
-def _samples(rows: PersonRows) -> Samples:
-    """The rows of one person that have points, angles and torso, and are not lost."""
+def _samples(rows: PersonRows) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Stamps, states and columns of a `Motion` of the rows that have points, angles and torso, and are not lost."""
     states = {stamp: state for stamp, (state, _) in rows.states.items()}
     stamps = [s for s in sorted(rows.points) if s in rows.angles and s in rows.torso and states.get(s) != LOST]
 
     def column(values: list[Any], *shape: int) -> np.ndarray:
         return np.array(values, dtype=float).reshape(-1, *shape)
 
-    return Samples(
-        np.array(stamps, np.int64),
-        column([rows.points[stamp].points_world for stamp in stamps], 15, 3),
-        column([rows.points[stamp].covariance for stamp in stamps], 15, 3, 3),
-        column([rows.angles[stamp] for stamp in stamps], 18),
-        column([rows.torso[stamp][0] for stamp in stamps], 3),
-        column([rows.torso[stamp][1] for stamp in stamps], 3, 3),
-        np.array([states.get(stamp, TRUSTED) for stamp in stamps], dtype=str),
-    )
+    columns = {
+        "points_world": column([rows.points[stamp].points_world for stamp in stamps], 15, 3),
+        "covariance": column([rows.points[stamp].covariance for stamp in stamps], 15, 3, 3),
+        "angles": column([rows.angles[stamp] for stamp in stamps], 18),
+        "torso_position_world": column([rows.torso[stamp][0] for stamp in stamps], 3),
+        "R_world_torso": column([rows.torso[stamp][1] for stamp in stamps], 3, 3),
+    }
+    return np.array(stamps, np.int64), np.array([states.get(stamp, TRUSTED) for stamp in stamps], dtype=str), columns
 
 
 def _angles(row: BagMessage) -> np.ndarray:

@@ -8,8 +8,8 @@ explained", Sheffield CS-01-11, 2001.)
 
 from __future__ import annotations
 
-import difflib
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,179 +19,121 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 from capture_rig.files import read_text
-from capture_rig.yaml_file import read_mapping
 
 Array = NDArray[np.float64]
+Statement = tuple[int, str]
+"""Number of its line, and its words."""
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
 CHANNELS = {f"{axis.lower()}{kind}": (kind, axis) for axis in AXES for kind in ("position", "rotation")}
 END = "_end"
 """An end site is called after its joint."""
-DAMAGED = "The file is damaged or no BVH: export it again."
-
-
-@dataclass(frozen=True, eq=False)
-class JointMotion:
-    """Joints of one skeleton, frame by frame, in the file's own axes and unit of length.
-
-    names (J,): each once; positions (F, J, 3): world; fps: frames a second; source: the file they come from.
-    """
-
-    names: tuple[str, ...]
-    positions: Array
-    fps: float
-    source: Path
-
-    def of(self, name: str) -> Array:
-        """Returns the positions (F, 3) of one joint."""
-        return self.positions[:, self.names.index(name)]
-
-    def error(self, problem: str, remedy: str) -> InputError:
-        """Makes the error that names the file."""
-        return InputError(problem, where=str(self.source), remedy=remedy)
 
 
 @dataclass
 class _Joint:
     name: str
     parent: int
-    line: int
     offset: Array | None = None
     channels: list[tuple[str, str]] = field(default_factory=list)
 
 
-def read_bvh(path: str | Path) -> JointMotion:
-    """Reads the joints of a BVH file; end sites are called JOINT_end.
+def read_bvh(path: str | Path) -> tuple[dict[str, Array], float]:
+    """Reads world positions (F, 3) of the joints by name, in the file's axes and unit of length, and frames a second.
 
-    Raises InputError naming file and line for anything that is not BVH.
+    End sites are called JOINT_end. Raises InputError naming file and line for anything that is not BVH.
     """
     path = Path(path)
-    lines = read_text(path, "Give the path of a BVH file.").splitlines()
-    end = next((n for n, line in enumerate(lines) if line.strip().upper() == "MOTION"), len(lines))
-    joints = _hierarchy(path, lines[:end])
-    fps, rows = _motion(path, lines, end, sum(len(joint.channels) for joint in joints))
-    return JointMotion(tuple(joint.name for joint in joints), _positions(joints, rows), fps, path)
+    lines = read_text(path, "Give the path of a BVH file.").splitlines() or [""]
+    # a brace is a statement of its own, wherever it stands on its line
+    parts = [(n, part.strip()) for n, line in enumerate(lines, 1) for part in re.split("([{}])", line) if part.strip()]
+    end = next((k for k, (_, part) in enumerate(parts) if part.upper() == "MOTION"), len(parts))
+    joints = _hierarchy(path, parts[:end] or [(1, "")], len(lines))
+    fps, rows = _motion(path, parts[end + 1 :], len(lines), sum(len(joint.channels) for joint in joints))
+    return {joint.name: places for joint, places in zip(joints, _positions(joints, rows), strict=True)}, fps
 
 
-def _error(path: Path, line: int, problem: str, remedy: str = DAMAGED) -> InputError:
-    return InputError(problem, where=f"{path}, line {line}", remedy=remedy)
+def _error(path: Path, line: int, problem: str) -> InputError:
+    return InputError(problem, where=f"{path}, line {line}", remedy="The file is damaged or no BVH: export it again.")
 
 
-def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
-    values = []
-    for word in words:
-        try:
-            values.append(float(word))
-        except ValueError:
-            values.append(np.nan)
-        if not np.isfinite(values[-1]):
-            raise _error(path, line, f"'{word}' is not a number")
+def _numbers(path: Path, line: int, words: list[str]) -> Array:
+    try:
+        values = np.array(words, float)
+    except ValueError as error:  # it says which one
+        raise _error(path, line, str(error)) from None
+    if not np.isfinite(values).all():
+        raise _error(path, line, f"'{' '.join(words)}' has what is no number")
     return values
 
 
-def _hierarchy(path: Path, lines: list[str]) -> list[_Joint]:
-    """The joints, parents first. A brace is a statement of its own, wherever it stands on its line."""
-    parts = ((n, part) for n, line in enumerate(lines, 1) for part in re.split("([{}])", line) if part.strip())
-    line, first = next(parts, (max(len(lines), 1), ""))
-    if first.strip().upper() != "HIERARCHY":
-        raise _error(path, line, f"'{first.strip()}' where BVH has 'HIERARCHY'")
-    joints, opened, named = list[_Joint](), list[int](), False
+def _hierarchy(path: Path, parts: list[Statement], last: int) -> list[_Joint]:
+    """The joints, parents first."""
+    joints, opened, wanted = list[_Joint](), list[int](), "HIERARCHY"
     for line, part in parts:
-        kind, *words = part.split()
+        kind, *words = part.split() or [""]
         kind = kind.upper()
-        if named != (kind == "{"):
-            raise _error(path, line, f"'{part.strip()}' where BVH has {'{' if named else 'a joint or what it is'}")
-        named = kind in (("JOINT", "END") if opened else ("ROOT",))
-        if named:
-            joints.append(_Joint(_name(path, line, kind, words, joints, opened), opened[-1] if opened else -1, line))
+        if (wanted or kind == "{") and kind != wanted:
+            raise _error(path, line, f"'{part}' where BVH has '{wanted or 'a joint or what it is'}'")
+        begins, wanted = kind in (("JOINT", "END") if opened else ("ROOT",)), ""
+        if begins:
+            name, wanted = joints[opened[-1]].name + END if kind == "END" else " ".join(words), "{"
+            if not name or (kind != "END" and name in [joint.name for joint in joints]):
+                raise _error(path, line, f"'{name}' is no name for a joint, or that of two joints")
+            joints.append(_Joint(name, opened[-1] if opened else -1))
         elif kind == "{":
             opened.append(len(joints) - 1)
         elif kind == "OFFSET" and opened and len(words) == 3:
-            joints[opened[-1]].offset = np.array(_numbers(path, line, words))
-        elif kind == "CHANNELS" and opened:
-            joints[opened[-1]].channels = _channels(path, line, words)
-        elif kind == "}" and opened:
-            joint = joints[opened.pop()]
-            if joint.offset is None:
-                raise _error(path, joint.line, f"'{joint.name}' has no OFFSET", "Every joint needs one.")
-        else:
-            raise _error(path, line, f"'{part.strip()}' where BVH has a joint, its OFFSET, its CHANNELS or its end")
-    if opened or named or not joints:
-        raise _error(path, len(lines), "the joints end too soon")
+            joints[opened[-1]].offset = _numbers(path, line, words)
+        elif kind == "CHANNELS" and opened and words and words[0] == str(len(words) - 1):
+            unknown = [name for name in words[1:] if name.lower() not in CHANNELS]
+            if unknown:
+                raise _error(path, line, f"there is no channel '{unknown[0]}'")
+            joints[opened[-1]].channels = [CHANNELS[name.lower()] for name in words[1:]]
+        elif kind == "}" and opened and joints[opened[-1]].offset is not None:
+            opened.pop()
+        elif kind != "HIERARCHY":
+            raise _error(path, line, f"'{part}' where BVH has a joint, its OFFSET, its CHANNELS or its end")
+    if opened or wanted or not joints:
+        raise _error(path, last, "the joints end too soon")
     return joints
 
 
-def _name(path: Path, line: int, kind: str, words: list[str], joints: list[_Joint], opened: list[int]) -> str:
-    """The name (blanks may be in it) of the joint that begins here."""
-    name, names = " ".join(words), [joint.name for joint in joints]
-    if kind == "END":
-        name = joints[opened[-1]].name + END
-        return name if name not in names else name + str(sum(joint.parent == opened[-1] for joint in joints))
-    if not name:
-        raise _error(path, line, "a joint has no name", f"Name it after {kind}.")
-    if name in names:
-        raise _error(path, line, f"there are two joints '{name}'", "Rename one.")
-    return name
-
-
-def _channels(path: Path, line: int, words: list[str]) -> list[tuple[str, str]]:
-    """(position or rotation, axis) of a joint's channels in the file's order."""
-    count, *names = words or [""]
-    if not count.isdigit() or int(count) != len(names):
-        raise _error(path, line, f"'{count}' is no number of channels, or not of these", "Give a whole number.")
-    for name in names:
-        if name.lower() not in CHANNELS:
-            known = "Channels are Xposition to Zposition and Xrotation to Zrotation."
-            raise _error(path, line, f"there is no channel '{name}'", known)
-    return [CHANNELS[name.lower()] for name in names]
-
-
-def _motion(path: Path, lines: list[str], start: int, channels: int) -> tuple[float, Array]:
+def _motion(path: Path, parts: list[Statement], last: int, channels: int) -> tuple[float, Array]:
     """Frames a second and the channels' values (F, channels)."""
-    rows = [(n, line.split()) for n, line in enumerate(lines, 1) if n > start and line.strip()]
-    header = dict[str, tuple[int, str]]()
-    for key, (line, words) in zip(("MOTION", "Frames:", "Frame Time:"), rows, strict=False):
-        if not " ".join(words).upper().startswith(key.upper()):
-            raise _error(path, line, f"'{' '.join(words)}' where BVH has '{key}'")
-        header[key] = line, " ".join(words)[len(key) :].strip()
-    if len(header) < 3:
-        raise _error(path, len(lines), "the end of the file where BVH has MOTION, Frames: and Frame Time:")
-    (announced, count), (line, period), rows = header["Frames:"], header["Frame Time:"], rows[3:]
-    frames = int(count) if count.isdigit() else 0
-    if frames < 1:
-        raise _error(path, announced, f"the number of frames is '{count}'", "Give a whole number from 1.")
-    (period_s,) = _numbers(path, line, [period])
+    header = []
+    for key in ("Frames:", "Frame Time:"):
+        line, text = parts.pop(0) if parts else (last, "")
+        if not text.upper().startswith(key.upper()):
+            raise _error(path, line, f"'{text}' where BVH has '{key}' after MOTION")
+        header.append((line, *_numbers(path, line, [text[len(key) :]])))
+    (announced, frames), (line, period_s) = header
     if period_s <= 0.0:
-        raise _error(path, line, f"the frame time is {period_s:g} s", "Give a positive time.")
+        raise _error(path, line, f"the frame time is {period_s:g} s")
+    rows = [(n, text.split()) for n, text in parts]
     for line, words in rows:
         if len(words) != channels:
             raise _error(path, line, f"a frame has {len(words)} numbers, its joints have {channels} channels")
-    if len(rows) != frames:
-        cut = "The file is cut short or its header is wrong: export it again."
-        raise _error(path, announced, f"{len(rows)} frames where {frames} are announced", cut)
-    return 1.0 / period_s, np.array([_numbers(path, line, words) for line, words in rows]).reshape(frames, channels)
+    if not rows or len(rows) != frames:
+        raise _error(path, announced, f"{len(rows)} frames where {frames:g} are announced")
+    return 1.0 / period_s, np.array([_numbers(path, line, words) for line, words in rows])
 
 
-def _positions(joints: list[_Joint], rows: Array) -> Array:
-    """World positions (F, J, 3) of the joints, in the file's axes and unit."""
-    frames, column = len(rows), 0
-    placed = np.empty((frames, len(joints), 3))
-    turned: list[Rotation] = []
-    for j, joint in enumerate(joints):
-        channels = joint.channels
-        values = rows[:, column : column + len(channels)]
-        column += len(channels)
-        local, rotation = np.tile(np.asarray(joint.offset, float), (frames, 1)), Rotation.identity(frames)
-        for (kind, axis), value in zip(channels, values.T, strict=True):
+def _positions(joints: list[_Joint], rows: Array) -> list[Array]:
+    """World positions (F, 3) of each joint, in the file's axes and unit."""
+    column, placed, turned = 0, list[Array](), list[Rotation]()
+    for joint in joints:
+        local, rotation = np.tile(np.asarray(joint.offset, float), (len(rows), 1)), Rotation.identity(len(rows))
+        for kind, axis in joint.channels:
             if kind == "position":
-                local[:, AXES[axis]] = value
+                local[:, AXES[axis]] = rows[:, column]
             else:
-                rotation = rotation * Rotation.from_euler(axis, value[:, None], degrees=True)
-        if joint.parent < 0:
-            placed[:, j] = local
-        else:
-            placed[:, j] = placed[:, joint.parent] + turned[joint.parent].apply(local)
+                rotation = rotation * Rotation.from_euler(axis, rows[:, column, None], degrees=True)
+            column += 1
+        if joint.parent >= 0:
+            local = placed[joint.parent] + turned[joint.parent].apply(local)
             rotation = turned[joint.parent] * rotation
+        placed.append(local)
         turned.append(rotation)
     return placed
 
@@ -200,7 +142,6 @@ def _positions(joints: list[_Joint], rows: Array) -> Array:
 
 SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 NEEDED = ("neck", "head", *(f"{side}_{joint}" for side in ("left", "right") for joint in SIDED))
-OPTIONAL = ("head_tip",)
 Choice = dict[str, tuple[str, ...]]
 
 
@@ -238,12 +179,12 @@ def plain(name: str) -> str:
     return re.sub(r"[\s_.-]", "", re.sub(r"^(mixamorig\d*[:_])?(.*:)?", "", name.strip().lower()))
 
 
-def joints_by_role(motion: JointMotion) -> dict[str, str]:
-    """Finds the joint of each role in `NEEDED` (and `OPTIONAL` where there is one), by the first naming that fits.
+def joints_by_role(joints: Collection[str], path: Path) -> dict[str, str]:
+    """Finds the joint of each role in `NEEDED` (and ``head_tip`` where there is one), by the first naming that fits.
 
     Raises InputError when none does.
     """
-    names = {plain(name): name for name in motion.names}
+    names = {plain(name): name for name in joints}
     for naming in NAMINGS.values():
         found = {
             role: names[next(n for n in choice if n in names)]
@@ -252,22 +193,5 @@ def joints_by_role(motion: JointMotion) -> dict[str, str]:
         }
         if all(role in found for role in NEEDED):
             return found
-    problem = f"its joints are named in no known way: {', '.join(motion.names[:8])} ..."
-    raise motion.error(problem, f"Give a YAML file that says which joint is {', '.join(NEEDED)}.")
-
-
-def load_joints_by_role(path: str | Path, motion: JointMotion) -> dict[str, str]:
-    """Reads the same from a YAML file, ``role: joint``. Raises InputError naming file, key and value."""
-    document = read_mapping(Path(path), "Give a YAML file with 'role: joint' on every line.")
-    for role in document:
-        if role not in NEEDED + OPTIONAL:
-            known = f"Known: {', '.join(NEEDED + OPTIONAL)}."
-            raise InputError(f"there is no joint '{role}'", where=str(path), remedy=known)
-    missing = [role for role in NEEDED if role not in document]
-    if missing:
-        raise InputError(f"'{missing[0]}' is missing", where=str(path), remedy="Give all of them.")
-    for role, name in document.items():
-        if name not in motion.names:
-            near = f"It has {', '.join(difflib.get_close_matches(str(name), motion.names, 3, 0.0))}."
-            raise InputError(f"{motion.source.name} has no joint '{name}'", where=f"{path}, {role}", remedy=near)
-    return {str(role): str(name) for role, name in document.items()}
+    problem = f"its joints are named in no known way: {', '.join(list(joints)[:8])} ..."
+    raise InputError(problem, where=str(path), remedy=f"Rename them as one of these has them: {', '.join(NAMINGS)}.")

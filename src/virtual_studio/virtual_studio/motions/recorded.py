@@ -6,28 +6,24 @@ The joints give 15 reference points, these a body and its poses. `RecordedMotion
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from capture_rig.errors import InputError
-from capture_rig.session import WRIST_FRACTION
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
-from ..people import ANKLE_HEIGHT, VolumetricBody
+from ..people import VolumetricBody
 from ..rig import VOLUME
-from .bvh import Array, JointMotion, joints_by_role, load_joints_by_role, read_bvh
+from .bvh import Array, joints_by_role, read_bvh
 from .timeline import T_POSE_S, Motion, ease, frame_count
 
 SUFFIX = ".bvh"
-HAND_OVER_FOREARM = 1.0 / WRIST_FRACTION - 1.0
-HEAD_OVER_LEG = 0.130 / (0.530 - ANKLE_HEIGHT)
-"""From the neck to the tip of the head, over the leg from hip to ankle: Drillis & Contini (1966), as in Winter,
-Biomechanics and Motor Control, fig. 4.1."""
 UPRIGHT = 0.5
 """Least cosine between the way from ankles to neck, on average, and up."""
 WORLD_FROM_UP = {
@@ -58,14 +54,11 @@ class RecordedMotion:
     Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
     room, and its lowest frames onto the floor.
 
-    up : the axis that points up in the file. start_s : what to leave out at the start (some files begin with a rest
-    pose). joints : YAML, ``role: joint``, where the names of the file's joints do not say.
+    up : the axis that points up in the file.
     """
 
     path: Path
     up: str = "y"
-    joints: Path | None = None
-    start_s: float = 0.0
 
     def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
         """Plays at most ``seconds`` of it, T-pose and blend included; less where the file ends before.
@@ -78,7 +71,7 @@ class RecordedMotion:
         if frames < 1:
             late = f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s"
             raise InputError(late, remedy="Give a longer time.")
-        _, played = self.figure(float(body.lengths[_LEGS].sum() / 2.0), fps)
+        played = self.figure(float(body.lengths[_LEGS].sum() / 2.0), fps)
         poses = _placed(person, played[:frames], self.path)
         poses = [*_opening(person, poses[0], fps, opening), *poses]
         angles: list[np.ndarray] = []
@@ -86,84 +79,60 @@ class RecordedMotion:
             angles.append(pose.angles(angles[-1] if angles else None))
         return Motion(tuple(poses), np.array(angles), fps)
 
-    def figure(self, leg_m: float, fps: float) -> tuple[Body, tuple[Pose, ...]]:
-        """Reads a stick figure of its own and its poses, at ``fps`` frames a second, by cubic splines through time.
+    def figure(self, leg_m: float, fps: float) -> list[Pose]:
+        """Reads poses of a stick figure of the file's own, at ``fps`` frames a second, by cubic splines through time.
 
         leg_m : how long the person's legs are to be, hip to ankle; the file's unit does not matter.
         World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be
         read.
         """
-        motion = read_bvh(self.path)
-        points, first = self.reference_points(motion, leg_m), round(self.start_s * motion.fps)
-        if first >= len(points):
-            lasts = f"It lasts {len(points) / motion.fps:.2f} s."
-            raise motion.error(f"there is no motion at {self.start_s:g} s", lasts)
-        points = points[first:]
-        body = Body.from_points(points)
-        times = np.arange(len(points)) / motion.fps
-        if len(points) > 1 and abs(fps - motion.fps) >= 1e-9 * motion.fps:
+        points, file_hz = self.reference_points(leg_m)
+        body, times = Body.from_points(points), np.arange(len(points)) / file_hz
+        if len(points) > 1 and abs(fps - file_hz) >= 1e-9 * file_hz:
             count = int(np.floor(times[-1] * fps + 1e-6)) + 1
             points = CubicSpline(times, points, axis=0)(np.arange(count) / fps)
         poses: list[Pose] = []
         for frame in points:
             poses.append(inverse(body, frame, poses[-1] if poses else None))
-        return body, tuple(poses)
+        return poses
 
-    def reference_points(self, motion: JointMotion, leg_m: float) -> Array:
-        """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``.
+    def reference_points(self, leg_m: float) -> tuple[Array, float]:
+        """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``; frames a second.
 
-        A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
-        along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the
-        file has none, beyond the head's joint at the average distance from the neck.
+        The file's wrist stands for the finger tip, and the head's joint for its tip where the file has none: they lie
+        on the same sticks, whose directions alone are played.
         """
-        roles = joints_by_role(motion) if self.joints is None else load_joints_by_role(self.joints, motion)
+        placed, fps = read_bvh(self.path)
         if self.up not in WORLD_FROM_UP:
             raise InputError(f"the axis that points up is '{self.up}'", remedy="Give x, y or z.")
         R = WORLD_FROM_UP[self.up]
-        joint = {role: motion.of(name) @ R.T for role, name in roles.items()}
-        _check_upright(joint, motion, self.up)
-        points = np.empty((len(motion.positions), 15, 3))
+        joint = {role: placed[name] @ R.T for role, name in joints_by_role(placed, self.path).items()}
+        self._check_upright(joint)
+        points = np.empty((len(joint["neck"]), 15, 3))
         points[:, 2] = joint["neck"]
         points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
         points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
-        points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
-        points[:, 1] = _head_tip(joint)
-        return leg_m / _leg(joint) * points
+        points[:, 1] = joint.get("head_tip", joint["head"])
+        return leg_m / _leg(joint) * points, fps
+
+    def _check_upright(self, joint: dict[str, Array]) -> None:
+        """Raises InputError when the person mostly does not stand along the given up axis."""
+        ankles = 0.5 * (joint["left_ankle"] + joint["right_ankle"])
+        standing = (joint["neck"] - ankles).mean(0)
+        if standing[2] < UPRIGHT * np.linalg.norm(standing):
+            likely = "xyz"[int(np.argmax(np.abs(WORLD_FROM_UP[self.up].T @ standing)))]
+            remedy = f"Say which axis points up, probably {likely}."
+            raise InputError(f"the person does not stand along {self.up}", where=str(self.path), remedy=remedy)
 
     def __str__(self) -> str:
         return self.path.name
 
 
-def _head_tip(joint: dict[str, Array]) -> Array:
-    neck, head = joint["neck"], joint["head"]
-    along = head - neck
-    if "head_tip" in joint:
-        tip = joint["head_tip"] - neck
-        if np.median(np.linalg.norm(tip, axis=1)) > 1.2 * np.median(np.linalg.norm(along, axis=1)):
-            return neck + tip
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    return neck + HEAD_OVER_LEG * _leg(joint) * along / np.maximum(length, 1e-12)
-
-
 def _leg(joint: dict[str, Array]) -> float:
     """Hip to ankle along the leg, the file's unit."""
-    parts = [("hip", "knee"), ("knee", "ankle")]
-    lengths = [
-        np.linalg.norm(joint[f"{side}_{a}"] - joint[f"{side}_{b}"], axis=1)
-        for side in ("left", "right")
-        for a, b in parts
-    ]
-    return 0.5 * float(sum(np.median(length) for length in lengths))
-
-
-def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> None:
-    """Raises InputError when the person mostly does not stand along the given up axis."""
-    ankles = 0.5 * (joint["left_ankle"] + joint["right_ankle"])
-    standing = (joint["neck"] - ankles).mean(0)
-    if standing[2] < UPRIGHT * np.linalg.norm(standing):
-        in_file = WORLD_FROM_UP[up].T @ standing
-        likely = "xyz"[int(np.argmax(np.abs(in_file)))]
-        raise motion.error(f"the person does not stand along {up}", f"Say which axis points up, probably {likely}.")
+    legs = ([f"{side}_{joint}" for joint in ("hip", "knee", "ankle")] for side in ("left", "right"))
+    bones = [bone for leg in legs for bone in pairwise(leg)]
+    return 0.5 * float(sum(np.median(np.linalg.norm(joint[a] - joint[b], axis=1)) for a, b in bones))
 
 
 def is_motion_file(name: str) -> bool:
@@ -171,7 +140,7 @@ def is_motion_file(name: str) -> bool:
     return Path(name).suffix.lower() == SUFFIX
 
 
-def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list[Pose]:
+def _placed(person: VolumetricBody, poses: list[Pose], path: Path) -> list[Pose]:
     """Return the poses with their path in the middle of the room and their feet on the floor."""
     places = np.array([pose.position_world for pose in poses])
     shift = np.zeros(3)
@@ -180,7 +149,7 @@ def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list
     farthest = np.abs(places[:, :2] + shift[:2]).max()
     if farthest > ROOM_M:
         too_far = f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide"
-        raise InputError(too_far, where=str(path), remedy="Take fewer seconds of it, or start elsewhere.")
+        raise InputError(too_far, where=str(path), remedy="Take fewer seconds of it.")
     return [_moved(pose, shift) for pose in poses]
 
 

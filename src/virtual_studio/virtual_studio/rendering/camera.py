@@ -84,20 +84,20 @@ class ExactSilhouettes:
         self.rig = rig
         self._cameras = [(camera, pixel_rays(camera), camera.undistorted_view()) for camera in rig.cameras]
         self._hiding: Capsules | None = None
-        self._depths: dict[str, NDArray[np.float32]] = {}
+        self._depths: dict[str, NDArray[np.float32]] = {}  # of what hides; none: nothing does
 
     def render(self, capsules: Capsules, hiding: Capsules | None = None) -> dict[str, Image]:
         """Returns each camera's undistorted mask (h, w), 0 or 255, by name.
 
         ``hiding`` : things in the room that are no silhouette, and nor is what lies behind them.
         """
-        if hiding is None:
-            return {c.name: view.undistort_mask(silhouette(c, rays, capsules)) for c, rays, view in self._cameras}
         if hiding is not self._hiding:
-            self._hiding = hiding
-            self._depths = {c.name: draw_capsules(c, rays, hiding, _dark(c))[0] for c, rays, _ in self._cameras}
+            self._hiding, self._depths = hiding, {}
+            if hiding is not None:
+                dark = {c.name: np.zeros((c.height, c.width), np.float32) for c, *_ in self._cameras}
+                self._depths = {c.name: draw_capsules(c, rays, hiding, dark[c.name])[0] for c, rays, _ in self._cameras}
         return {
-            c.name: view.undistort_mask(draw_capsules(c, rays, capsules, _dark(c), self._depths[c.name])[1])
+            c.name: view.undistort_mask(silhouette(c, rays, capsules, self._depths.get(c.name)))
             for c, rays, view in self._cameras
         }
 
@@ -127,10 +127,6 @@ def _furnished(camera: CameraModel, view: View, standing: Capsules) -> tuple[Vie
     depth, mask = draw_capsules(camera, view.rays, standing, light)
     floor_xy = np.where(mask[..., None] > 0, np.float32(np.nan), view.floor_xy)
     return replace(view, grey=light, floor_xy=floor_xy), depth
-
-
-def _dark(camera: CameraModel) -> Light:
-    return np.zeros((camera.height, camera.width), np.float32)
 
 
 @dataclass(frozen=True)

@@ -52,10 +52,13 @@ def draw_capsules(
     return depth, mask
 
 
-def silhouette(camera: CameraModel, rays: NDArray[np.float64], capsules: Capsules) -> NDArray[np.uint8]:
+def silhouette(
+    camera: CameraModel, rays: NDArray[np.float64], capsules: Capsules, depth: NDArray[np.float32] | None = None
+) -> NDArray[np.uint8]:
     """Returns the mask of :func:`draw_capsules` alone, faster."""
     mask = np.zeros((camera.height, camera.width), np.uint8)
-    _cast_silhouette(camera.centre_world, rays, capsules, boxes_px(camera, capsules), mask)
+    depth = np.full(mask.shape, np.inf, np.float32) if depth is None else depth
+    _cast_silhouette(camera.centre_world, rays, capsules, boxes_px(camera, capsules), depth, mask)
     return mask
 
 
@@ -213,7 +216,7 @@ def _cast(origin, rays, capsules, boxes, depth, light, mask):
 
 
 @njit(cache=True, nogil=True)
-def _cast_silhouette(origin, rays, capsules, boxes, mask):
+def _cast_silhouette(origin, rays, capsules, boxes, depth, mask):
     """Sets mask (h, w) to 255 where a ray meets any capsule; arguments as for `_cast`, whose mask it equals."""
     eye = origin[0], origin[1], origin[2]
     for p in range(len(boxes)):
@@ -222,7 +225,7 @@ def _cast_silhouette(origin, rays, capsules, boxes, mask):
             for x in range(boxes[p, 0], boxes[p, 2]):
                 if mask[y, x] == 0:
                     ray = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
-                    if hit_capsule(eye, ray, a, b, ra, rb) < math.inf:
+                    if hit_capsule(eye, ray, a, b, ra, rb) < depth[y, x]:
                         mask[y, x] = 255
 
 
