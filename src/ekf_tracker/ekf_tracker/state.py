@@ -100,59 +100,16 @@ def joseph(P, G, L):
 
 @njit(cache=True)
 def cap_joints(P, sd_cap):
-    """Shrinks P (48, 48), in place, until no joint's pose has an sd above ``sd_cap`` (rad) about any axis.
+    """Shrinks P (48, 48), in place, until no joint's pose has an sd above ``sd_cap`` (rad) in any slot.
 
     The twist of a straight limb is not observable, and without a bound its variance grows until the linearisation
-    means nothing. The joint's error is shrunk along the uncertain axis only (a congruence, so P stays positive
-    definite), and what is known about the other axes is kept.
+    means nothing. Rows and columns are scaled alike (a congruence), so P stays positive definite.
     """
-    cap = sd_cap * sd_cap
-    for ball in range(5):
-        slots = kernels.SLOT_OF_JOINT_AXIS[ball]
-        axes = 2 if slots[2] < 0 else 3
-        total = 0.0
-        for k in range(axes):
-            total += P[slots[k], slots[k]]
-        if total > cap:
-            _cap_ball(P, slots[:axes], cap)
-    for slot in kernels.HINGE_SLOT:
-        if P[slot, slot] > cap:
-            shrink = math.sqrt(cap / P[slot, slot])
+    for slot in range(6, N):
+        if P[slot, slot] > sd_cap * sd_cap:
+            shrink = sd_cap / math.sqrt(P[slot, slot])
             P[slot, :] *= shrink
             P[:, slot] *= shrink
-
-
-@njit(cache=True)
-def _cap_ball(P, slots, cap):
-    n = len(slots)
-    block = np.empty((n, n))
-    for a in range(n):
-        for b in range(n):
-            block[a, b] = P[slots[a], slots[b]]
-    variances, axes = np.linalg.eigh(block)
-    if variances[-1] <= cap:
-        return
-    shrink = np.zeros((n, n))
-    for k in range(n):
-        factor = math.sqrt(cap / max(variances[k], cap))
-        for a in range(n):
-            for b in range(n):
-                shrink[a, b] += factor * (axes[a, k] * axes[b, k])
-    _turn_rows(P, slots, shrink)
-    _turn_rows(P.T, slots, shrink)
-    for a in range(n):
-        for b in range(a):
-            P[slots[b], slots[a]] = P[slots[a], slots[b]]
-
-
-@njit(cache=True)
-def _turn_rows(P, slots, shrink):
-    before = np.empty(len(slots))
-    for c in range(P.shape[1]):
-        for a in range(len(slots)):
-            before[a] = P[slots[a], c]
-        for a in range(len(slots)):
-            P[slots[a], c] = (shrink[a] * before).sum()
 
 
 @njit(cache=True)

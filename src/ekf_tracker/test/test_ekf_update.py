@@ -8,11 +8,9 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
-from capture_rig.settings import build_settings
 from ekf_tracker.kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate
 from ekf_tracker.measurement import Measurement, Sizes, linearised
 from ekf_tracker.motion_model import DampedVelocity, Identity
-from ekf_tracker.settings import EkfSettings, motion_model
 from ekf_tracker.state import POSE, VELOCITY, cap_joints, joseph, per_slot, positive_definite
 from stick_figure.joint_limits import BALL_RATES
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
@@ -146,24 +144,14 @@ def test_joseph_form_stays_positive_and_right_where_the_short_form_is_neither():
     assert np.linalg.eigvalsh(result)[0] > 0.0
 
 
-def test_capped_joint_keeps_what_is_known_about_its_other_axes():
-    rng = np.random.default_rng(1)
-    axis = np.array([0.6, 0.0, 0.8])
-    slots = [8, 12, 10]  # left shoulder about x, y, z
-    P = 0.01 * random_spd(rng, 48, 1.0)
-    P[np.ix_(slots, slots)] += 9.0 * np.outer(axis, axis)
+def test_capped_joint_has_the_cap_and_keeps_its_correlations():
+    P = random_spd(np.random.default_rng(1), 48, 1.0)
+    P[8, 8] += 9.0  # left shoulder about x
     capped = P.copy()
-    cap_joints(capped, 1.0)
-    variances, axes = np.linalg.eigh(capped[np.ix_(slots, slots)])
-    assert variances[-1] == pytest.approx(1.0)
-    assert abs(axes[:, -1] @ axis) > 0.999
-    across = np.cross(axis, [0.0, 1.0, 0.0])
-    assert across @ capped[np.ix_(slots, slots)] @ across == pytest.approx(
-        across @ P[np.ix_(slots, slots)] @ across, rel=0.01
-    )
-    others = np.setdiff1d(np.arange(48), slots)
-    np.testing.assert_array_equal(capped[np.ix_(others, others)], P[np.ix_(others, others)])
-    assert np.linalg.eigvalsh(capped)[0] > 0.0
+    cap_joints(capped, 2.0)
+    shrink = np.ones(48)
+    shrink[8] = 2.0 / np.sqrt(P[8, 8])
+    np.testing.assert_allclose(capped, shrink[:, None] * P * shrink, rtol=1e-12)
 
 
 @pytest.mark.parametrize("hinge", range(4))
@@ -218,11 +206,6 @@ def test_numbers_of_invisible_points_do_not_matter():
     assert np.isfinite(z.points_world).all() and np.isfinite(z.covariance).all()
 
 
-def test_measurement_of_another_shape_is_refused():
-    with pytest.raises(InputError, match=r"points has shape \(14, 3\).*Expected \(15, 3\)"):
-        Measurement.checked(np.zeros((14, 3)), isotropic(0.02), ALL, 0.001)
-
-
 # --- the prediction's matrices ----------------------------------------------------------------------------------------
 
 
@@ -252,38 +235,9 @@ def test_damped_velocity_equals_the_integrated_process_for_every_kind_of_joint(d
     np.testing.assert_allclose(Q, Q_true, rtol=1e-6)
 
 
-def test_unknown_velocity_has_the_variance_that_the_process_settles_at():
-    model = DampedVelocity()
-    _, Q = dense_matrices(model.transition(60.0))
-    np.testing.assert_allclose(np.diag(Q)[VELOCITY], model.velocity_variance(), rtol=1e-9)
-
-
 def test_identity_model_moves_nothing_and_grows_the_pose_by_the_thesis_noise():
     F, Q = dense_matrices(Identity().transition(0.05))
     moved = F @ np.concatenate([np.zeros(24), np.ones(24)])
     np.testing.assert_array_equal(moved, 0.0)
     np.testing.assert_array_equal(F[POSE, POSE], np.eye(24))
     np.testing.assert_allclose(np.diag(Q)[POSE], (per_slot(1.0, 1.5, 3.0, 3.0) * 0.05) ** 2)
-
-
-def test_identity_model_lets_the_velocity_follow_from_the_pose_it_explains():
-    """The velocity of the step just made: (new pose - old pose) / dt, whatever the velocity was before."""
-    dt = 0.05
-    P_before = np.diag(np.concatenate([np.full(24, 1e-4), np.full(24, 7.0)]))
-    F, Q = dense_matrices(Identity().transition(dt))
-    P = F @ P_before @ F.T + Q
-    gain = P[VELOCITY, POSE] @ np.linalg.inv(P[POSE, POSE] - 1e-4 * np.eye(24))
-    np.testing.assert_allclose(gain, np.eye(24) / dt, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("model", [DampedVelocity(), Identity()])
-def test_noise_is_a_covariance_for_every_time_step(model):
-    for dt in (0.0, 1e-4, 1 / 60, 1.0):
-        _, Q = dense_matrices(model.transition(dt))
-        np.testing.assert_array_equal(Q, Q.T)
-        assert np.linalg.eigvalsh(Q)[0] > -1e-12
-
-
-def test_settings_choose_the_model():
-    assert motion_model(build_settings(EkfSettings, {"motion_model": "identity"}, "test")) == Identity()
-    assert motion_model(EkfSettings()) == DampedVelocity()

@@ -58,11 +58,6 @@ def test_bad_pose_file_names_file_and_key(tmp_path, document, words):
         assert word in str(error.value)
 
 
-def test_missing_pose_file_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"absent\.yaml"):
-        load_initial_pose(tmp_path / "absent.yaml")
-
-
 # --- reference of a session ------------------------------------------------------------------------------------------
 
 

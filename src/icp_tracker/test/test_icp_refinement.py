@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import refinement_rays as made
 
-from icp_tracker.acquisition.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, BodyEstimate, prior_sizes
+from icp_tracker.acquisition.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, prior_sizes
 from icp_tracker.acquisition.initial_pose import InitialPose
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement import shape as shapes
@@ -222,13 +222,6 @@ def sum_of_squares(contour_rays, matches, P, Q, radii):
         across = contour_rays.rows[3, i] - contour_rays.rows[:3, i] @ c - radii[k] @ [1 - u, u]
         total += contour_rays.information[i] * across**2
     return total
-
-
-def test_refinement_starts_from_the_sizes_that_a_t_pose_measured():
-    estimate = BodyEstimate(prior_sizes(H).sizes * 1.01, prior_sizes(H).covariance)
-    refined = BodyRefiner(estimate, RefinementSettings()).refined
-    np.testing.assert_allclose(refined.sizes, estimate.sizes, rtol=1e-12)
-    np.testing.assert_allclose(refined.covariance, estimate.covariance, rtol=1e-6, atol=1e-12)
 
 
 class FixedSource:

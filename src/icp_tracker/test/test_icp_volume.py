@@ -48,16 +48,6 @@ def surface_of(body, pose, rng, count=1500):
     return points[outside][:count]
 
 
-def test_flesh_of_an_adult_weighs_what_an_adult_does(body):
-    """Volume by Monte Carlo: 1.75 m tall, about the 65 to 85 litres of the people it stands for."""
-    pose = synthetic.t_pose((0, 0, 1.2))
-    P, Q, radii = capsules(synthetic.placed(body, pose))
-    low, high = np.minimum(P, Q).min(0) - 0.15, np.maximum(P, Q).max(0) + 0.15
-    samples = np.random.default_rng(1).uniform(low, high, (60_000, 3))
-    litres = 1e3 * np.prod(high - low) * (signed_distances(samples, P, Q, radii).min(1) < 0).mean()
-    assert 50 < litres < 90
-
-
 def test_normal_equations_of_voxels_are_those_of_finite_difference_derivatives(body):
     rng = np.random.default_rng(4)
     pose = synthetic.smooth_motion(5, seed=3)[4]
@@ -109,16 +99,6 @@ def test_hull_shows_the_heading_that_the_centerline_cannot(body):
     assert heading_error(ArticulatedSettings(max_iterations=20)) < 0.07
 
 
-def test_voxel_cloud_keeps_finite_samples_and_spreads_its_choice():
-    points = np.arange(30.0).reshape(10, 3)
-    points[4, 1] = np.nan
-    surface = np.array([1, 1, 1, 0, 1, 1, 1, 0, 1, 1], bool)
-    cloud = VoxelSamples.checked(points, surface)
-    assert len(cloud) == 9
-    assert np.array_equal(cloud.surface_points(100)[:, 0], [0, 3, 6, 15, 18, 24, 27])
-    assert np.array_equal(cloud.surface_points(3)[:, 0], [0, 6, 18])
-
-
 def hull_of(body, pose):
     """The body's surface as a voxel cloud, surface flagged."""
     points = synthetic.voxels(body, pose)
@@ -126,26 +106,6 @@ def hull_of(body, pose):
     steps = np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])
     around = [[tuple(np.round(p / 0.03).astype(int) + s) in cells for s in steps] for p in points]
     return VoxelSamples.checked(points, ~np.all(around, axis=1))
-
-
-def test_hull_rescues_an_arm_that_the_centerline_does_not_show(body):
-    """The arm sank by 0.4 rad between two sets, and no slice shows it: only the hull can tell."""
-    start = synthetic.t_pose()
-    lowering = np.zeros(24)
-    lowering[LEFT_SHOULDER_X] = -0.4
-    truth = start.retract(lowering)
-    points = synthetic.stick_cloud(body, truth, np.random.default_rng(5), 300, 0.01)
-    shoulder = forward(body, truth)[3]
-    points = points[~((points[:, 1] > shoulder[1] + 0.03) & (points[:, 2] < shoulder[2] + 0.1) & (points[:, 2] > 0.9))]
-    hull = hull_of(body, truth)
-
-    def hand_error(volume):
-        settings = ArticulatedSettings(max_iterations=30, volume=volume)
-        fit = synthetic.fit(body, start, points, 0.0, hull, settings)
-        return np.linalg.norm(fit.reference_points_world - forward(body, truth), axis=1)[LEFT_HAND]
-
-    assert hand_error(VolumeSettings(weight=0.0)) > 0.15
-    assert hand_error(VolumeSettings()) < 0.05
 
 
 def test_loose_hull_weighs_less_than_a_tight_one(body):

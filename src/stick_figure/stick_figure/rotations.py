@@ -144,7 +144,7 @@ def _limb_angles(limb, R, hinge, reference, continuous, best):
             _decompose(1 + limb, R if bent == 0 else turned, cover == 1, reference, values)
             values[3] = hinge if bent == 0 else -hinge
             for k in range(4):
-                values[k] = _wrap_near(values[k], slots[k], reference, continuous)
+                values[k] = wrap_into_range(values[k], slots[k])
             ball, bend = excess_over_range(values[:3], slots[:3]), excess_over_range(values[3:], slots[3:])
             if continuous:
                 cost = OUT_OF_RANGE * (max(ball - BALL_SLACK_RAD, 0.0) + max(bend - HINGE_SLACK_RAD, 0.0))
@@ -206,18 +206,6 @@ def _third_angle(R, a, b, j, sign):
     along, other = (y, z) if j == 1 else (z, y)
     cosine = math.cos(b) * R[0, 0] - sign * math.sin(b) * other
     return math.atan2(sign * along, cosine)
-
-
-@njit(cache=True)
-def _wrap_near(value, slot, reference, continuous):
-    """`wrap_into_range`; of the two ends of a full circle (the same angle) the one nearer the reference."""
-    value = wrap_into_range(value, slot)
-    if continuous and ANGLE_HIGH[slot] - ANGLE_LOW[slot] >= TURN - NEGLIGIBLE:
-        if value - ANGLE_LOW[slot] < NEGLIGIBLE and reference[slot] - value > math.pi:
-            return ANGLE_HIGH[slot]
-        if ANGLE_HIGH[slot] - value < NEGLIGIBLE and value - reference[slot] > math.pi:
-            return ANGLE_LOW[slot]
-    return value
 
 
 @njit(cache=True)

@@ -173,12 +173,3 @@ def test_foot_points_are_the_nearest_points_of_all_sticks():
     assert np.allclose(feet, A[stick] + along[:, None] * (B - A)[stick])
     assert np.allclose(squared, ((points - feet) ** 2).sum(1))
     assert along.min() == 0.0 and along.max() == 1.0  # both ends clamp
-
-
-def test_stick_of_no_length_is_a_point():
-    A = np.full((10, 3), 9.0)
-    B = A.copy()
-    A[3] = B[3] = [1.0, 0.0, 0.0]
-    stick, _, feet, squared = nearest(np.zeros((1, 3)), A, B)
-    assert stick[0] == 3 and squared[0] == 1.0
-    assert np.array_equal(feet[0], A[3])

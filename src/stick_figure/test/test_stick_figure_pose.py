@@ -5,7 +5,6 @@ import pytest
 from poses import angles_with, random_pose
 from scipy.spatial.transform import Rotation
 
-from capture_rig.rigid import quaternion_of
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
@@ -95,12 +94,6 @@ def test_angles_at_the_cut_of_a_full_circle_follow_the_previous_side():
             assert pose_of(at_the_cut).angles(previous=near)[slot] == pytest.approx(end)
 
 
-def test_angles_of_pose_outside_the_ranges_describe_the_same_points():
-    angles = angles_with(left_shoulder_y=3.0, left_elbow=-0.8, right_hip_z=1.4, right_knee=0.5)
-    pose = pose_of(angles)
-    np.testing.assert_allclose(forward(BODY, pose_of(pose.angles())), forward(BODY, pose), atol=1e-12)
-
-
 def test_canonical_bends_hinges_the_right_way_and_keeps_all_points():
     rng = np.random.default_rng(9)
     pose = random_pose(rng)
@@ -180,17 +173,3 @@ def test_quaternions_are_scipy_s_and_pose_and_velocity_come_back(turned_rad):
     for array, back in zip(pose.arrays, motion.pose.arrays, strict=True):
         np.testing.assert_allclose(back, array, atol=1e-14)
     np.testing.assert_array_equal(motion.velocity, velocity)
-
-
-def test_quaternion_of_no_turn_and_of_half_a_turn():
-    np.testing.assert_array_equal(quaternion_of(np.eye(3)), [0.0, 0.0, 0.0, 1.0])
-    x, y, z, w = quaternion_of(np.diag([-1.0, -1.0, 1.0]))
-    np.testing.assert_allclose((x, y, abs(z), w), (0.0, 0.0, 1.0, 0.0), atol=1e-15)
-
-
-def test_a_quaternion_of_any_length_is_a_rotation():
-    rng = np.random.default_rng(7)
-    pose = pose_turned_by(rng, 0.5)
-    motion = JointMotion.of(pose, np.zeros(24))
-    longer = JointMotion(motion.position_world, -3.0 * motion.quaternions, motion.linear_world, motion.angular)
-    np.testing.assert_allclose(longer.pose.R_joints, pose.R_joints, atol=1e-14)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.camera import CameraModel
 from capture_rig.visibility import RigVisibility
 from stick_figure.body import TYPICAL_STATURE_M
 
@@ -182,32 +181,11 @@ def _said(step: np.ndarray, stance: Stance, visibility: RigVisibility) -> str:
 
 
 def _turn(stance: Stance, visibility: RigVisibility) -> str:
-    """Say which camera to turn so that somebody in the middle of the volume is seen."""
+    """Say which camera shows least of somebody in the middle of the volume."""
     middle = 0.5 * (visibility.volume.low + visibility.volume.high)[:2]
     places = replace(stance, place_world=middle).places_of()
     if not visibility.in_volume(places).all():
         return "the volume is too small for a T-pose"
-    missed = (~visibility.seen_by(places)).sum(axis=0)
-    camera = visibility.rig.cameras[int(np.argmax(missed))]
-    return f"no place in the volume is seen by {visibility.needed} cameras; {_turned(camera, places)}"
-
-
-def _turned(camera: CameraModel, places_world: np.ndarray) -> str:
-    """Say how a camera has to be turned towards places, or that they do not fit into its picture."""
-    x, y, depth = (places_world @ camera.R_camera_world.T + camera.t_camera_world).T
-    if (depth <= 0.0).any():
-        return f"turn {camera.name} round"
-    ideal = camera.ideal_points(_border(camera))
-    low, high = np.nanmin(ideal, axis=0), np.nanmax(ideal, axis=0)
-    u, v = x / depth, y / depth
-    if np.ptp(u) > high[0] - low[0] or np.ptp(v) > high[1] - low[1]:
-        return f"move {camera.name} back, you do not fit into its picture"
-    beyond = {"down": v.max() - high[1], "up": low[1] - v.min(), "to its right": u.max() - high[0]}
-    beyond["to its left"] = low[0] - u.min()
-    return f"turn {camera.name} {max(beyond, key=beyond.__getitem__)}"
-
-
-def _border(camera: CameraModel) -> np.ndarray:
-    """Middles of the image's four sides, pixels."""
-    w, h = camera.width - 1.0, camera.height - 1.0
-    return np.array([[0.5 * w, 0.0], [0.5 * w, h], [0.0, 0.5 * h], [w, 0.5 * h]])
+    camera = visibility.names[int(np.argmax((~visibility.seen_by(places)).sum(axis=0)))]
+    where = f"turn {camera} towards the middle of the volume, or move it back"
+    return f"no place in the volume is seen by {visibility.needed} cameras; {where}"

@@ -16,14 +16,14 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
-from stick_figure.least_squares.free_ends import TURN_SD
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, TURN_SD
 from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
 from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import PRIOR
-from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
+from .keyframes import Keyframes, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
 from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
 # Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
@@ -90,8 +90,8 @@ class BodyRefiner:
         (BUILD_NUMBERS,) : to begin with, of a body that is not near the average."""
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
-        bends, ends = (max(bend, STIFF) * REST_SD) ** -2, max(turn_sd, STIFF) ** -2
-        self._pose_prior = PosePrior(PRIOR, bends, ends)
+        bends, turns = (max(bend, STIFF) * REST_SD) ** -2, np.full(COUNT * ANGLES, max(turn_sd, STIFF) ** -2)
+        self._pose_prior = np.concatenate([PRIOR, bends, turns])
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
         self._model, self._values = ShapeArrays.of(self._prior.mean), self._prior.mean.copy()

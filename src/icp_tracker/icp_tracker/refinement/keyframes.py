@@ -55,15 +55,6 @@ class Keyframes(NamedTuple):
         return cls(*(np.empty((count, *shape)) for shape in (*pose, *equations)))
 
 
-class PosePrior(NamedTuple):
-    """What holds a keyframe's pose where its rays do not: information (24,) of the tangent and (7,) of the trunk's bend
-    about rest; of the turns of hands and feet about straight, 1/rad^2."""
-
-    information: np.ndarray
-    bend: np.ndarray
-    ends: float
-
-
 @njit(cache=True, nogil=True)
 def put_keyframe(kept, k, pose, bend, values):
     """Write a pose (t0, R0, RJ, hinges) and bend to place k, to be linearised at ``values`` for the first time."""
@@ -78,10 +69,11 @@ def put_keyframe(kept, k, pose, bend, values):
 def linearise_keyframe(kept, k, rays, model, values, prior, least):
     """Move a keyframe's pose to where it suits the shape's ``values``, and linearise there.
 
-    ``least`` : share of the rays that must be explained for it to count; returns the share that is.
+    ``prior`` (POSE,) : information that holds its pose, bend (about rest) and turns (about straight) where its rays do
+    not. ``least`` : share of the rays that must be explained for it to count; returns the share that is.
     """
     state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), POSE + UNKNOWNS, UNKNOWNS
-    bend, ends = kept.bend[k], straight_ends(prior.ends)
+    bend, ends = kept.bend[k], straight_ends(1.0)
     _follow_shape(kept.through[k], kept.values[k] - values, state, bend, kept.turns[k])
     ends.turns[:] = kept.turns[k]
     H, g = np.empty((n, n)), np.empty(n)
@@ -90,14 +82,11 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
     explained = contour_system(rays, placed, ends.turns, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
     own, L, through = H[:POSE, :POSE].copy(), np.empty((POSE, POSE)), kept.through[k]
     through[:, :unknowns], through[:, unknowns] = H[:POSE, POSE:], g[:POSE]
-    _add_pose_prior(state, prior, own[:TANGENT, :TANGENT], through[:TANGENT, unknowns])
-    for s in range(BEND_NUMBERS):
-        own[TANGENT + s, TANGENT + s] += prior.bend[s]
-        through[TANGENT + s, unknowns] -= prior.bend[s] * bend[s]
-    for e in range(COUNT):
-        for a in range(ANGLES):
-            own[BENT + ANGLES * e + a, BENT + ANGLES * e + a] += prior.ends
-            through[BENT + ANGLES * e + a, unknowns] -= prior.ends * ends.turns[e, a]
+    _add_limits(state, own[:TANGENT, :TANGENT], through[:TANGENT, unknowns])
+    for i in range(POSE):
+        own[i, i] += prior[i]
+    through[TANGENT:BENT, unknowns] -= prior[TANGENT:BENT] * bend
+    through[BENT:, unknowns] -= prior[BENT:] * ends.turns.ravel()
     solve_positive_columns(own, L, through)
     kept.values[k] = values
     information, target = kept.information[k], kept.target[k]
@@ -119,29 +108,22 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
 @njit(cache=True)
 def _follow_shape(through, change, state, bend, turns):
     """Move pose, bend and turns as the last linearisation says, for a ``change`` (U,) of the shape's values."""
-    step = through[:, -1].copy()
-    for k in range(POSE):
-        for s in range(change.shape[0]):
-            step[k] += through[k, s] * change[s]
+    step = through[:, -1] + (through[:, :-1] * change).sum(axis=1)
     scale = kernels.scale_of_step(step[:BENT])
     kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step[:TANGENT], scale)
     bend += scale * step[TANGENT:BENT]
-    for e in range(COUNT):
-        for a in range(ANGLES):
-            turn = turns[e, a] + scale * step[BENT + ANGLES * e + a]
-            turns[e, a] = min(max(turn, -LARGEST_TURN), LARGEST_TURN)
+    turned = turns + scale * step[BENT:].reshape(COUNT, ANGLES)
+    turns[:] = np.minimum(np.maximum(turned, -LARGEST_TURN), LARGEST_TURN)
 
 
 @njit(cache=True)
-def _add_pose_prior(state, prior, own, pull):
-    """Add to the pose's equations what is known without rays: scatter, the neck's rest, the joints' limits."""
+def _add_limits(state, own, pull):
+    """Add the neck's rest and the joints' limits to the pose's equations."""
     known = np.zeros((TANGENT, TANGENT))
     add_neck_rest(state.RJ[0], NECK_SD**-2, known, pull)
     add_joint_limits(state.RJ, state.hinges, np.inf, LIMIT_SD_RAD**-2, known, pull)
     mirror_upper(known)
     own += known
-    for i in range(TANGENT):
-        own[i, i] += prior.information[i]
 
 
 @njit(cache=True, nogil=True)

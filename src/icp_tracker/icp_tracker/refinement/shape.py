@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_rig.kernel import kernel, njit
+from capture_rig.kernel import njit
 from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import bend_columns, match_rays, sum_rays
@@ -82,22 +82,10 @@ class ShapeArrays(NamedTuple):
 @njit(cache=True)
 def figure_at(model, values):
     """Return the figure of a shape's values (UNKNOWNS,)."""
-    step, count = values - model.centre, model.stick.shape[0]
-    start, end, radii = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
-    for k in range(count):
-        for a in range(8):
-            number = model.capsules[k, a] + _dot(model.derivatives.capsules[k, a], step)
-            if a < 3:
-                start[k, a] = number
-            elif a < 6:
-                end[k, a - 3] = number
-            else:
-                radii[k, a - 6] = number
-    origins, lengths = np.empty((STICKS, 3)), np.empty(STICKS)
-    for j in range(STICKS):
-        lengths[j] = model.lengths[j] + _dot(model.derivatives.lengths[j], step)
-        for i in range(3):
-            origins[j, i] = model.origins[j, i] + _dot(model.derivatives.origins[j, i], step)
+    step, by = values - model.centre, model.derivatives
+    capsules = model.capsules + (by.capsules * step).sum(axis=2)
+    start, end, radii = capsules[:, :3].copy(), capsules[:, 3:6].copy(), capsules[:, 6:].copy()
+    lengths, origins = model.lengths + (by.lengths * step).sum(axis=1), model.origins + (by.origins * step).sum(axis=2)
     return Figure(lengths, origins, BodySurface(model.stick, start, end, radii))
 
 
@@ -113,14 +101,6 @@ def _largest_change(model, values, before):
     starts = np.abs(now.surface.start - then.surface.start).max()
     ends = np.abs(now.surface.end - then.surface.end).max()
     return max(sticks, starts, ends, np.abs(now.surface.radii - then.surface.radii).max())
-
-
-@kernel
-def _dot(a, b):
-    total = 0.0
-    for s in range(a.shape[0]):
-        total += a[s] * b[s]
-    return total
 
 
 def body_of(values: np.ndarray) -> Body:

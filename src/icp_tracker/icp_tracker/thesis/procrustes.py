@@ -26,16 +26,11 @@ def weighted_extended_procrustes(a, b, w, R, t):
 
     ``a``, ``b`` (p, 3), ``w`` (p,) >= 0. With no weight at all R is the identity and t zero.
     """
-    ca = np.zeros(3)
-    cb = np.zeros(3)
-    total = weighted_centroids(a, b, w, ca, cb)
-    S = np.zeros((3, 3))
-    t[:] = 0.0
+    ca, cb, total = np.zeros(3), np.zeros(3), w.sum()
     if total > 0.0:
-        moment(a, b, w, ca, cb, S)
-    angle = rotation_from_moment(S, R)
-    for i in range(3):
-        t[i] = cb[i] - (R[i, 0] * ca[0] + R[i, 1] * ca[1] + R[i, 2] * ca[2])
+        ca, cb = np.dot(w, a) / total, np.dot(w, b) / total
+    angle = _rotation_about(a - ca, b - cb, w, R)
+    t[:] = cb - np.dot(R, ca)
     return angle
 
 
@@ -46,9 +41,17 @@ def weighted_procrustes_about(joint, a, b, w, R):
     The limb's form: both centroids are the joint and there is no shift (thesis 4.2 with u = 0, which as printed
     divides zero by zero).
     """
-    S = np.zeros((3, 3))
-    moment(a, b, w, joint, joint, S)
-    return rotation_from_moment(S, R)
+    return _rotation_about(a - joint, b - joint, w, R)
+
+
+@njit(cache=True)
+def _rotation_about(a, b, w, R):
+    """R (3, 3) <- the proper rotation about the origin that maximises tr(R S), S = sum w a b^T (eq. 4.8 corrected: the
+    printed product of (p, 3) matrices does not exist); returns its angle (rad). S = 0 gives the identity."""
+    R[:] = polar_rotation(np.dot(b.T, a * w.reshape(-1, 1)))
+    vector = np.empty(3)
+    rotation_log(R, vector)
+    return np.sqrt(np.sum(vector * vector))
 
 
 @njit(cache=True)
@@ -58,53 +61,8 @@ def weighted_swing_about(joint, direction, a, b, w, R):
     The points of one straight stick have a moment of rank one: Procrustes would return an arbitrary twist. The target
     direction is sum w |a - joint| (b - joint). Writes ``R``; returns its angle (rad).
     """
-    target = np.zeros(3)
-    for i in range(a.shape[0]):
-        if w[i] > 0.0:
-            x, y, z = a[i, 0] - joint[0], a[i, 1] - joint[1], a[i, 2] - joint[2]
-            lever = w[i] * np.sqrt(x * x + y * y + z * z)
-            for k in range(3):
-                target[k] += lever * (b[i, k] - joint[k])
-    return swing_rotation(direction, target, R)
-
-
-@njit(cache=True)
-def weighted_centroids(a, b, w, ca, cb):
-    """Weighted centroids of both sets into ``ca``, ``cb`` (3,); returns the sum of the weights."""
-    total = 0.0
-    ca[:] = 0.0
-    cb[:] = 0.0
-    for i in range(a.shape[0]):
-        total += w[i]
-        for k in range(3):
-            ca[k] += w[i] * a[i, k]
-            cb[k] += w[i] * b[i, k]
-    if total > 0.0:
-        for k in range(3):
-            ca[k] /= total
-            cb[k] /= total
-    return total
-
-
-@njit(cache=True)
-def moment(a, b, w, ca, cb, S):
-    """S = sum w (a - ca)(b - cb)^T (eq. 4.8 corrected: the printed product of (p,3) matrices does not exist)."""
-    S[:] = 0.0
-    for i in range(a.shape[0]):
-        if w[i] > 0.0:
-            for p in range(3):
-                left = w[i] * (a[i, p] - ca[p])
-                for q in range(3):
-                    S[p, q] += left * (b[i, q] - cb[q])
-
-
-@njit(cache=True)
-def rotation_from_moment(S, R):
-    """Proper rotation R maximising tr(R S); returns its angle (rad). S = 0 gives the identity."""
-    R[:] = polar_rotation(S.T)
-    vector = np.empty(3)
-    rotation_log(R, vector)
-    return np.sqrt(np.sum(vector * vector))
+    levers = w * np.sqrt(((a - joint) ** 2).sum(axis=1))
+    return swing_rotation(direction, np.dot(levers, b - joint), R)
 
 
 @njit(cache=True)
@@ -114,31 +72,14 @@ def swing_rotation(direction, target, R):
     The identity when either is zero. Opposite directions leave the axis open: the coordinate axis most nearly
     perpendicular to ``direction`` then fixes it, the same every time.
     """
-    R[:] = 0.0
-    R[0, 0] = R[1, 1] = R[2, 2] = 1.0
-    length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
-    reach = np.sqrt(target[0] ** 2 + target[1] ** 2 + target[2] ** 2)
+    R[:] = np.eye(3)
+    length, reach = np.sqrt(np.sum(direction**2)), np.sqrt(np.sum(target**2))
     if length == 0.0 or reach == 0.0:
         return 0.0
-    f0, f1, f2 = direction[0] / length, direction[1] / length, direction[2] / length
-    g0, g1, g2 = target[0] / reach, target[1] / reach, target[2] / reach
-    cosine = f0 * g0 + f1 * g1 + f2 * g2
+    f, g = direction / length, target / reach
+    axis, cosine = np.cross(f, g), np.dot(f, g)
     if cosine < ANTIPARALLEL:
-        return half_turn_across(f0, f1, f2, R)
-    v0, v1, v2 = f1 * g2 - f2 * g1, f2 * g0 - f0 * g2, f0 * g1 - f1 * g0
+        axis, cosine = np.cross(f, np.eye(3)[np.argmin(np.abs(f))]), -1.0
     # half-angle quaternion (1 + cos, v), not normalised
-    fill_rotation(np.array([v0, v1, v2, 1.0 + cosine]), R)
-    return np.arctan2(np.sqrt(v0 * v0 + v1 * v1 + v2 * v2), cosine)
-
-
-@njit(cache=True)
-def half_turn_across(f0, f1, f2, R):
-    """Half turn about an axis perpendicular to the unit vector f."""
-    if abs(f0) <= abs(f1) and abs(f0) <= abs(f2):
-        k0, k1, k2 = 0.0, f2, -f1  # f x e_x
-    elif abs(f1) <= abs(f2):
-        k0, k1, k2 = -f2, 0.0, f0  # f x e_y
-    else:
-        k0, k1, k2 = f1, -f0, 0.0  # f x e_z
-    fill_rotation(np.array([k0, k1, k2, 0.0]), R)
-    return np.pi
+    fill_rotation(np.array([axis[0], axis[1], axis[2], 1.0 + cosine]), R)
+    return np.pi if cosine == -1.0 else np.arctan2(np.sqrt(np.sum(axis**2)), cosine)

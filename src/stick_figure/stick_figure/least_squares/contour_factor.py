@@ -304,9 +304,7 @@ def bend_columns(k, placed, derivatives, M, second):
 @njit(cache=True)
 def bent_figure(figure, derivatives, bend):
     """Return a figure with its trunk bent so (7,)."""
-    origins, start, end = figure.origins.copy(), figure.surface.start.copy(), figure.surface.end.copy()
-    for s in range(BEND_NUMBERS):
-        origins += bend[s] * derivatives.origins[:, :, s]
-        start += bend[s] * derivatives.starts[:, :, s]
-        end += bend[s] * derivatives.ends[:, :, s]
+    origins = figure.origins + (derivatives.origins * bend).sum(axis=2)
+    start = figure.surface.start + (derivatives.starts * bend).sum(axis=2)
+    end = figure.surface.end + (derivatives.ends * bend).sum(axis=2)
     return Figure(figure.lengths, origins, BodySurface(figure.surface.stick, start, end, figure.surface.radii))
