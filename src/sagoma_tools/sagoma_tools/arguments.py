@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from capture_rig.settings import PLAYING_SPEED, number
 from capture_rig.yaml_file import parse_value
-from sagoma_bringup.graph import ONE_PROCESS, SERVER_LAYOUTS, NodeSpec, apply_settings, build_graph
+from sagoma_bringup.graph import ALL_CAMERAS, ONE_PROCESS, SERVER_LAYOUTS, NodeSpec, Role, apply_settings, build_graph
 from sagoma_bringup.launch_arguments import AUTO_START, STARTS, start_settings
 
 from .takes.folder import TAKES, TakesFolder
 
+EPOCH = ".footage.epoch_ns"  # the camera clients' parameter: when footage begins
+# of several commands
 NODES = number("nodes", 1, 1000, whole=True)
 
 
@@ -68,9 +71,20 @@ def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
         loop=args.loop,
         body=args.body,
     )
+    if session is not None and not any(key.endswith(EPOCH) for key in settings):
+        require_all_cameras(graph, session.rig.names)
     if any(node.label == "icp_tracker" for node in graph):
         graph = apply_settings(graph, start_settings(session, args.start))
     return apply_settings(graph, settings)
+
+
+def require_all_cameras(graph: Sequence[NodeSpec], names: Sequence[str]) -> None:
+    """Raises InputError for a graph in which some of the cameras ``names`` play footage, and some do not."""
+    here = [node.label for node in graph if node.role is Role.CAMERA]
+    if 0 < len(here) < len(names):
+        what = f"of {len(names)} cameras only {', '.join(here)} plays here, and its frames would not meet the others'"
+        remedy = f"Give every machine the same moment to begin, --set {ALL_CAMERAS}{EPOCH}=NANOSECONDS: docs/hosts.md."
+        raise InputError(what, where="--only", remedy=remedy)
 
 
 def parse_settings(texts: list[str]) -> dict[str, Any]:

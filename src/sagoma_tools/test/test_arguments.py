@@ -1,4 +1,4 @@
-"""Arguments of command lines: numbers of every option of every parser."""
+"""Arguments of command lines: numbers of every option of every parser, and parts of a graph."""
 
 import argparse
 from pathlib import Path
@@ -6,7 +6,10 @@ from pathlib import Path
 import pytest
 
 import virtual_studio.__main__ as rendering
+from capture_rig.errors import InputError
 from capture_rig.settings import number
+from sagoma_bringup.graph import camera_node
+from sagoma_tools.arguments import require_all_cameras
 from sagoma_tools.cli import build_parser
 from sagoma_tools.console import BAD_INPUT, commands_of
 
@@ -57,3 +60,11 @@ def test_whole_number_stays_one_and_takes_no_decimals():
     for text in ("7.0", "0", "1001", "9" * 5000):
         with pytest.raises(argparse.ArgumentTypeError, match="give a whole number from 1 to 1000 nodes"):
             read(text)
+
+
+def test_one_camera_of_several_without_a_common_beginning_is_refused_and_all_of_them_or_none_need_none():
+    cameras = {name: camera_node(name, {"source": "footage"}) for name in ("cam01", "cam02")}
+    with pytest.raises(InputError, match=r"of 2 cameras only cam02 plays here.*--set cameras.footage.epoch_ns"):
+        require_all_cameras([cameras["cam02"]], list(cameras))
+    require_all_cameras(list(cameras.values()), list(cameras))
+    require_all_cameras([], list(cameras))
