@@ -38,52 +38,18 @@ CAPABILITIES = (
 
 
 def feature_table(settings: CameraSettings, address: str, width: int, height: int, colour: bool) -> tuple[Feature, ...]:
-    """Lists every feature and register of a camera with a sensor of width x height pixels.
+    """List every feature and register of a camera with a sensor of width x height pixels.
 
     Raises InputError for a pixel format that such a camera does not offer.
     """
     s, ip = settings, int(ipaddress.IPv4Address(address))
     formats = (*COLOUR_FORMATS, *MONO_FORMATS) if colour else MONO_FORMATS
     if s.pixel_format not in ("auto", *formats):
-        problem, remedy = (
-            f"pixel_format = {s.pixel_format!r} is not offered",
-            f"Choose one of auto, {', '.join(formats)}.",
-        )
-        raise InputError(problem, where=f"camera {address}", remedy=remedy)
+        remedy = f"Choose one of auto, {', '.join(formats)}."
+        raise InputError(f"pixel_format = {s.pixel_format!r} is not offered", where=f"camera {address}", remedy=remedy)
     codes = {name: int(PixelFormat[name]) for name in formats}
     table = {
-        "": [  # registers of the standard that no feature names
-            hidden("Version", bootstrap.VERSION, bootstrap.VERSION_2_0),
-            hidden("DeviceMode", bootstrap.DEVICE_MODE, bootstrap.BIG_ENDIAN_UTF8),
-            hidden("MacHigh", bootstrap.MAC_HIGH, 0x0000_0200),  # a locally administered address
-            hidden("MacLow", bootstrap.MAC_LOW, ip),
-            hidden("IpCapabilities", bootstrap.IP_CAPABILITIES, 0x7),
-            hidden("IpConfiguration", bootstrap.IP_CONFIGURATION, 0x1),
-            hidden("CurrentIp", bootstrap.CURRENT_IP, ip),
-            hidden("CurrentSubnet", bootstrap.CURRENT_SUBNET, 0xFF00_0000),
-            hidden("CurrentGateway", bootstrap.CURRENT_GATEWAY, 0),
-            hidden("ManufacturerInfo", bootstrap.MANUFACTURER_INFO, "simulated", 48),
-            hidden("FirstUrl", bootstrap.FIRST_URL, "", bootstrap.URL_SIZE),
-            hidden("SecondUrl", bootstrap.SECOND_URL, "", bootstrap.URL_SIZE),
-            hidden("InterfaceCount", bootstrap.INTERFACE_COUNT, 1),
-            hidden("MessageChannelCount", bootstrap.MESSAGE_CHANNEL_COUNT, 0),
-            hidden("StreamChannelCount", bootstrap.STREAM_CHANNEL_COUNT, 1),
-            hidden("ActionSignalCount", bootstrap.ACTION_SIGNAL_COUNT, 1),
-            hidden("StreamCapability", bootstrap.STREAM_CAPABILITY, 0),
-            hidden("MessageCapability", bootstrap.MESSAGE_CAPABILITY, 0),
-            hidden("GvcpCapability", bootstrap.GVCP_CAPABILITY, int(CAPABILITIES)),
-            hidden("TickFrequencyHigh", bootstrap.TICK_FREQUENCY_HIGH, 0),
-            hidden("TickFrequencyLow", bootstrap.TICK_FREQUENCY_LOW, TICKS_PER_SECOND),
-            hidden("TimestampControl", bootstrap.TIMESTAMP_CONTROL, writable=True),
-            hidden("TimestampHigh", bootstrap.TIMESTAMP_HIGH),
-            hidden("TimestampLow", bootstrap.TIMESTAMP_LOW),
-            hidden("GvcpConfiguration", bootstrap.GVCP_CONFIGURATION, writable=True),
-            hidden("ControlPrivilege", bootstrap.CONTROL_PRIVILEGE, writable=True),
-            hidden("PrimaryPort", bootstrap.PRIMARY_PORT),
-            hidden("PrimaryAddress", bootstrap.PRIMARY_ADDRESS),
-            hidden("StreamCapabilities", bootstrap.STREAM_CHANNEL_CAPABILITY, 0),
-            hidden("PacketSizeWord", bootstrap.STREAM_PACKET_SIZE, min(1500, s.max_packet_size), writable=True),
-        ],
+        "": _bootstrap_registers(s, ip),
         "DeviceControl": [
             text("DeviceVendorName", VENDOR, 32, bootstrap.MANUFACTURER_NAME, writable=False),
             text("DeviceModelName", MODEL, 32, bootstrap.MODEL_NAME, writable=False),
@@ -162,3 +128,39 @@ def feature_table(settings: CameraSettings, address: str, width: int, height: in
     }
     rows = [dataclasses.replace(row, category=category) for category, rows in table.items() for row in rows]
     return placed(rows)
+
+
+def _bootstrap_registers(settings: CameraSettings, ip: int) -> list[Feature]:
+    """List the bootstrap registers of GigE Vision that no feature of the SFNC names."""
+    return [
+        hidden("Version", bootstrap.VERSION, bootstrap.VERSION_2_0),
+        hidden("DeviceMode", bootstrap.DEVICE_MODE, bootstrap.BIG_ENDIAN_UTF8),
+        hidden("MacHigh", bootstrap.MAC_HIGH, 0x0000_0200),  # a locally administered address
+        hidden("MacLow", bootstrap.MAC_LOW, ip),
+        hidden("IpCapabilities", bootstrap.IP_CAPABILITIES, 0x7),
+        hidden("IpConfiguration", bootstrap.IP_CONFIGURATION, 0x1),
+        hidden("CurrentIp", bootstrap.CURRENT_IP, ip),
+        hidden("CurrentSubnet", bootstrap.CURRENT_SUBNET, 0xFF00_0000),
+        hidden("CurrentGateway", bootstrap.CURRENT_GATEWAY, 0),
+        hidden("ManufacturerInfo", bootstrap.MANUFACTURER_INFO, "simulated", 48),
+        hidden("FirstUrl", bootstrap.FIRST_URL, "", bootstrap.URL_SIZE),
+        hidden("SecondUrl", bootstrap.SECOND_URL, "", bootstrap.URL_SIZE),
+        hidden("InterfaceCount", bootstrap.INTERFACE_COUNT, 1),
+        hidden("MessageChannelCount", bootstrap.MESSAGE_CHANNEL_COUNT, 0),
+        hidden("StreamChannelCount", bootstrap.STREAM_CHANNEL_COUNT, 1),
+        hidden("ActionSignalCount", bootstrap.ACTION_SIGNAL_COUNT, 1),
+        hidden("StreamCapability", bootstrap.STREAM_CAPABILITY, 0),
+        hidden("MessageCapability", bootstrap.MESSAGE_CAPABILITY, 0),
+        hidden("GvcpCapability", bootstrap.GVCP_CAPABILITY, int(CAPABILITIES)),
+        hidden("TickFrequencyHigh", bootstrap.TICK_FREQUENCY_HIGH, 0),
+        hidden("TickFrequencyLow", bootstrap.TICK_FREQUENCY_LOW, TICKS_PER_SECOND),
+        hidden("TimestampControl", bootstrap.TIMESTAMP_CONTROL, writable=True),
+        hidden("TimestampHigh", bootstrap.TIMESTAMP_HIGH),
+        hidden("TimestampLow", bootstrap.TIMESTAMP_LOW),
+        hidden("GvcpConfiguration", bootstrap.GVCP_CONFIGURATION, writable=True),
+        hidden("ControlPrivilege", bootstrap.CONTROL_PRIVILEGE, writable=True),
+        hidden("PrimaryPort", bootstrap.PRIMARY_PORT),
+        hidden("PrimaryAddress", bootstrap.PRIMARY_ADDRESS),
+        hidden("StreamCapabilities", bootstrap.STREAM_CHANNEL_CAPABILITY, 0),
+        hidden("PacketSizeWord", bootstrap.STREAM_PACKET_SIZE, min(1500, settings.max_packet_size), writable=True),
+    ]
