@@ -6,7 +6,7 @@ import sys
 import threading
 from pathlib import Path
 
-COMMAND_TIMEOUT_S = 400.0
+COMMAND_TIMEOUT_S = 2000.0  # four films of boards take 270 s on a calm machine
 
 
 def command(*words: object) -> list[str]:

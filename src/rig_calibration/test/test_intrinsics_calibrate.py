@@ -2,6 +2,7 @@
 are wrong are left out and named."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from intrinsics_views import BOARD, errors_in_sds, found, lens, lens_errors, sai
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard
+from rig_calibration.intrinsics.calibrate import typical_ratio
 from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
 
@@ -117,6 +119,17 @@ def test_auto_takes_the_rational_model_for_a_lens_that_needs_it():
     rich = found(shown(strong, 40, 0.05, seed=11, sizes=(0.3, 0.9)), model="auto")
     assert rich.choice.rms_px["rational_polynomial"] < 0.5 * rich.choice.rms_px["plumb_bob"]
     assert rich.camera.distortion_model == "rational_polynomial"
+
+
+def test_models_are_compared_view_by_view_and_not_by_which_view_is_the_median_one():
+    def fit(*rms_px):
+        views = [SimpleNamespace(detection=SimpleNamespace(frame_index=k), rms_px=r) for k, r in enumerate(rms_px) if r]
+        return SimpleNamespace(views=views)
+
+    simple, rich = fit(0.02, 0.030, 0.036, 0.05, 0.06), fit(0.02, 0.031, 0.033, 0.05, 0.06)  # medians 9 % apart
+    assert typical_ratio(simple, rich) == 1.0
+    assert typical_ratio(fit(0.04, 0.06, 0.0, 0.0, 0.0), rich) == np.inf  # it left out three of five
+    assert typical_ratio(rich, fit(0.04, 0.06, 0.0, 0.0, 0.0)) == 0.0
 
 
 # --- views that are wrong ---------------------------------------------------------------------------------------------

@@ -55,7 +55,8 @@ def calibrate_intrinsics(
 def choose_model(views: Sequence[TargetDetection], board: Board) -> Intrinsics:
     """Return the fit of the model that explains the typical view best. A richer model is taken where it explains the
     views better, or alike and has rays for more of the image. (A view has a hundred corners: more coefficients cannot
-    adapt to its noise.) Raises InputError where the views contradict each other by every model."""
+    adapt to its noise; but which view is the median one may change, so models are compared view by view.) Raises
+    InputError where the views contradict each other by every model."""
     fits: dict[str, Intrinsics] = {}
     for name in COEFFICIENTS:
         try:
@@ -64,7 +65,8 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> Intrinsics:
             if name == RATIONAL and not fits:
                 raise
     rms_px = {name: fit.typical_px for name, fit in fits.items()}
-    chosen, *richer = [name for name in fits if rms_px[name] <= (1 + WORTHWHILE) * min(rms_px.values())]
+    best = min(fits.values(), key=lambda fit: fit.typical_px)
+    chosen, *richer = [name for name, fit in fits.items() if typical_ratio(fit, best) <= 1 + WORTHWHILE]
     why = ": no better, so the simpler one" if richer else ""
     for name in richer:
         lost, rest = (fits[each].camera.unused_share for each in (chosen, name))
@@ -73,6 +75,14 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> Intrinsics:
             chosen = name
     reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
     return replace(fits[chosen], choice=ModelChoice(chosen, rms_px, reason + why))
+
+
+def typical_ratio(fit: Intrinsics, other: Intrinsics) -> float:
+    """Return by what factor one fit's misfit exceeds another's in the median view; it is infinite, or 0, where only one
+    of them left the view out."""
+    rms_px, others_px = ({view.detection.frame_index: view.rms_px for view in each.views} for each in (fit, other))
+    frames = rms_px.keys() | others_px
+    return float(np.median([rms_px.get(k, np.inf) / others_px[k] if k in others_px else 0.0 for k in frames]))
 
 
 # --- The fit of one model.
