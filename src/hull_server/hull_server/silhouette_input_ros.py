@@ -165,7 +165,7 @@ class SilhouetteInput:
         if self._collector is None:
             return
         now_ns = monotonic_ns()
-        self._collector.wait(self._thinning.deadline_ns(round(self._settings.deadline_s * 1e9)))
+        self._collector.deadline_ns = self._thinning.deadline_ns(round(self._settings.deadline_s * 1e9))
         self._dispatch(self._collector.poll(now_ns))
         silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
         self._node.health.set("silent", ",".join(silent))

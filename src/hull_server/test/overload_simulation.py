@@ -164,7 +164,7 @@ class Simulation:
         self.answers.append(Answer(each.stamp_ns - EPOCH_NS, self.now_ns, not each.missing))
 
     def _update(self) -> None:
-        self._collector.wait(self.control.deadline_ns(50 * MS))
+        self._collector.deadline_ns = self.control.deadline_ns(50 * MS)
         self._close(self._collector.poll(self.now_ns))
         rule = self.control.update(self.now_ns)
         if rule is not None:

@@ -6,23 +6,22 @@ waited for once it has delivered a later stamp, for stamps may not go back; nor 
 that instant; nor, where the collector may give up, once several sets in a row have missed it, until it is heard again.
 Sets leave in stamp order; a frame that comes after its set has left is late: counted, never mixed into another set.
 
-The rig's time is the median of its cameras' newest stamps: one camera never moves it, most do. Frames more than a
-quarter of a second from it are held for two frame periods. When the median has jumped (footage or a bag started again,
-a pause, a clock that was set) the held frames begin anew there; the others are dropped and counted. A camera that
-merely lags, its own stamps going on, votes for where the rig is: its frames are late until it has caught up.
+The rig's time is the median of its cameras' newest stamps: one camera never moves it, most do. A frame leaps that is
+more than a quarter of a second ahead of the rig, or behind what its own camera sent last, and is held for two frame
+periods. When the median has leapt (footage or a bag started again, a pause, a clock that was set) the held frames begin
+anew there; else they are dropped and counted. A camera that lags, its own stamps going on, does not leap: it is late.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 T = TypeVar("T")
 
 TIME_JUMP_NS = 250_000_000
 JUMP_TOLERANCES = 10  # a jump is at least five frame periods, so that slow cameras do not jump with every frame
-LONGEST_LAG_NS = 4_000_000_000  # clients that start, starved, lag for so long; who is farther behind does not lag
 HELD_TOLERANCES = 4  # two frame periods: time for every live camera to be heard here or there
 
 
@@ -87,26 +86,23 @@ class OpenSet(Generic[T]):
         return min(self.stamps_ns.values())
 
     def spread_with(self, stamp_ns: int) -> int:
-        stamps = [*self.stamps_ns.values(), stamp_ns]
-        return max(stamps) - min(stamps)
+        return max(*self.stamps_ns.values(), stamp_ns) - min(*self.stamps_ns.values(), stamp_ns)
 
 
-@dataclass(frozen=True)
-class Arrival(Generic[T]):
-    """A frame that has come. goes_on : its camera's stamps have not gone back, or are with the rig's again since."""
+class Arrival(NamedTuple, Generic[T]):
+    """A frame that has come."""
 
     camera: str
     stamp_ns: int
     frame: T
     arrival_ns: int
-    goes_on: bool
 
 
 class FrameSetCollector(Generic[T]):
     """Sorts frames of several cameras into frame sets. Times are nanoseconds; ``arrival_ns`` is a monotonic clock.
 
     tolerance_ns : stamps of one set differ by at most this much (half a frame period).
-    deadline_ns : how long after its first frame arrived a set waits for the others.
+    deadline_ns : how long after its first frame arrived a set waits for the others; may be changed at any time.
     max_open : at most this many sets are open at once; the oldest is closed beyond that.
     give_up : a camera that so many sets in a row have missed is not waited for until it is heard; 0: it always is.
         Which set its first frame then joins depends on when it arrives; a replay that must repeat itself gives the
@@ -120,14 +116,15 @@ class FrameSetCollector(Generic[T]):
         self.tolerance_ns, self.deadline_ns, self.max_open, self.give_up = tolerance_ns, deadline_ns, max_open, give_up
         self.counters = Counters()
         self._jump_ns = max(TIME_JUMP_NS, JUMP_TOLERANCES * tolerance_ns)
-        self._time_ns: int | None = None  # of the rig
+        self._time_ns = 0  # of the rig: it leaps to its first frame
         self._newest: dict[str, Arrival[T]] = {}  # of each camera, wherever it is
         self._held: list[Arrival[T]] = []  # in no set, or not yet
-        self._reset()
+        self._begin()
 
-    def _reset(self) -> None:
+    def _begin(self) -> None:
+        """Begin anew, also with stamps that have been."""
         self._open: list[OpenSet[T]] = []
-        self._last_ns: dict[str, int] = {}  # the last stamp of each camera where the rig is
+        self._last_ns: dict[str, int] = {}  # the last stamp of each camera that was where the rig is
         self._last_closed_ns: int | None = None
         self._last_set_ns = -1
         self._absent_ns: dict[str, int] = {}  # the latest instant of which each camera is known to have no frame
@@ -139,11 +136,8 @@ class FrameSetCollector(Generic[T]):
         """Add one frame; return the sets that this closes, oldest first. KeyError for an unknown camera."""
         self._check(camera)
         self.counters.frames += 1
-        before = self._newest.get(camera)
-        was_here = before is not None and (before.goes_on or self._is_near(before.stamp_ns))
-        goes_on = was_here and before is not None and before.stamp_ns <= stamp_ns
-        self._newest[camera] = arrived = Arrival(camera, stamp_ns, frame, arrival_ns, goes_on)
-        self._held.append(arrived)
+        self._newest[camera] = Arrival(camera, stamp_ns, frame, arrival_ns)
+        self._held.append(self._newest[camera])
         return self.poll(arrival_ns)
 
     def add_absence(self, camera: str, stamp_ns: int, now_ns: int) -> list[FrameSet[T]]:
@@ -161,10 +155,6 @@ class FrameSetCollector(Generic[T]):
             if expired or (due == index and not any(self._is_awaited(name, candidate) for name in self.names)):
                 due = index + 1
         return closed + self._close(max(due, len(self._open) - self.max_open))
-
-    def wait(self, deadline_ns: int) -> None:
-        """Let sets, also those that are open, wait for their last cameras for so long from now on."""
-        self.deadline_ns = deadline_ns
 
     def next_deadline_ns(self) -> int | None:
         """Return when :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
@@ -186,66 +176,63 @@ class FrameSetCollector(Generic[T]):
     def _held_for_ns(self) -> int:
         return self.deadline_ns + HELD_TOLERANCES * self.tolerance_ns
 
-    def _is_near(self, stamp_ns: int) -> bool:
-        if self._time_ns is None:
-            return True
+    def _leaps(self, arrived: Arrival[T]) -> bool:
+        """Return whether a frame is far ahead of the rig, or far behind its own camera's last (the oldest open set)."""
         tail_ns = min([self._time_ns, *(each.stamp_ns for each in self._open[:1])])
-        return tail_ns - self._jump_ns <= stamp_ns <= self._time_ns + self._jump_ns
+        behind_ns = self._last_ns.get(arrived.camera, tail_ns) - arrived.stamp_ns
+        return max(behind_ns, arrived.stamp_ns - self._time_ns) > self._jump_ns
 
     def _follow_majority(self, now_ns: int) -> list[FrameSet[T]]:
         """Take the held frames that are where the rig is; drop the others once there was time for every camera's.
 
-        The rig jumps when all its live cameras have, or at the end of that time when most have.
+        The rig leaps when all its cameras have, or at the end of that time when most have that were heard within it.
         """
-        due_ns = self._held[0].arrival_ns + self._held_for_ns
+        due_ns, was_ns = self._held[0].arrival_ns + self._held_for_ns, self._time_ns
         over = now_ns >= due_ns or len(self._held) > self.max_open * len(self.names)
-        since_ns = min(now_ns, due_ns) - self._held_for_ns
-        votes = sorted(self._vote_ns(each) for each in self._newest.values() if each.arrival_ns >= since_ns)
+        heard = [n for n in self._newest.values() if n.arrival_ns >= min(now_ns, due_ns) - self._held_for_ns]
+        votes = sorted(n.stamp_ns if self._leaps(n) else max(n.stamp_ns, was_ns) for n in heard)
         middle = votes[(len(votes) - 1) // 2], votes[len(votes) // 2]
-        time_ns = min(middle, key=lambda vote: abs(vote - (self._time_ns or 0)))
+        time_ns = min(middle, key=lambda vote: abs(vote - was_ns))
         closed: list[FrameSet[T]] = []
-        if self._is_near(time_ns):
+        if abs(time_ns - was_ns) <= self._jump_ns:
             self._time_ns = time_ns
-        elif over or not any(self._is_near(each.stamp_ns) for each in self._newest.values()):
-            if self._time_ns is not None and time_ns < self._time_ns:
-                closed = self._close(len(self._open))
-                self._count("restarts")
-                self._reset()
+        elif over or all(map(self._leaps, self._newest.values())):
+            closed = self._close(len(self._open))
+            if time_ns < was_ns:
+                self.counters.restarts += 1
+                self._begin()
             self._time_ns = time_ns
         held, self._held = self._held, []
         for each in held:
-            if self._is_near(each.stamp_ns):
+            if not self._leaps(each):
                 self._add_here(each)
-            elif over:
-                self._count_elsewhere(each)
-            else:
+            elif not over:
                 self._held.append(each)
+            elif each.stamp_ns > self._time_ns:
+                self.counters.ahead += 1
+            elif each.camera in self._last_ns:
+                self.counters.backwards += 1
+            else:
+                self.counters.late += 1
         return closed
-
-    def _vote_ns(self, newest: Arrival[T]) -> int:
-        """Return where a camera says that the rig is."""
-        if self._time_ns is None:
-            return newest.stamp_ns
-        lags = newest.goes_on and self._jump_ns < self._time_ns - newest.stamp_ns < LONGEST_LAG_NS
-        return self._time_ns if lags else newest.stamp_ns
 
     def _add_here(self, new: Arrival[T]) -> None:
         """Put a frame into the open set nearest in time, or into one of its own; count one that cannot be taken."""
         last_ns, self._missed_count[new.camera] = self._last_ns.get(new.camera), 0
         if last_ns is not None and new.stamp_ns <= last_ns:
-            self._count("duplicate" if new.stamp_ns == last_ns else "backwards")
+            self.counters.duplicate += new.stamp_ns == last_ns
+            self.counters.backwards += new.stamp_ns < last_ns
             return
         if self._last_closed_ns is not None and new.stamp_ns <= self._last_closed_ns + self.tolerance_ns:
-            self._count("late")
+            self.counters.late += 1
             return
-        near = [
-            s for s in self._open if new.camera not in s.frames and s.spread_with(new.stamp_ns) <= self.tolerance_ns
-        ]
-        joined = min(near, key=lambda s: s.spread_with(new.stamp_ns)) if near else OpenSet[T](new.arrival_ns)
-        if not near:
+        others = (each for each in self._open if new.camera not in each.frames)
+        joined = min(others, key=lambda each: each.spread_with(new.stamp_ns), default=None)
+        if joined is None or joined.spread_with(new.stamp_ns) > self.tolerance_ns:
+            joined = OpenSet(new.arrival_ns)
             self._open.append(joined)
         joined.frames[new.camera], joined.stamps_ns[new.camera] = new.frame, new.stamp_ns
-        self._open.sort(key=lambda s: s.stamp_ns)
+        self._open.sort(key=lambda each: each.stamp_ns)
         self._last_ns[new.camera] = new.stamp_ns
 
     def _is_awaited(self, camera: str, candidate: OpenSet[T]) -> bool:
@@ -265,22 +252,13 @@ class FrameSetCollector(Generic[T]):
         return [self._frame_set(each) for each in closed]
 
     def _frame_set(self, closed: OpenSet[T]) -> FrameSet[T]:
+        there = sorted(closed.frames)
         missing = tuple(name for name in self.names if name not in closed.frames)
         self.counters.missing += len(missing)
-        self._count("incomplete" if missing else "complete")
-        there = [name for name in self.names if name in closed.frames]
+        self.counters.complete += not missing
+        self.counters.incomplete += bool(missing)
         stamps_ns = {name: closed.stamps_ns[name] for name in there}
         made = FrameSet.of_stamps(stamps_ns, {name: closed.frames[name] for name in there}, missing)
         # stamps rise, also where a camera's next frame came so soon that two sets overlap in time
         self._last_set_ns = max(made.stamp_ns, self._last_set_ns + 1)
         return replace(made, stamp_ns=self._last_set_ns)
-
-    def _count_elsewhere(self, arrived: Arrival[T]) -> None:
-        """Count a frame whose stamp is far from where the rig is."""
-        last_ns = self._last_ns.get(arrived.camera)
-        if self._time_ns is None or arrived.stamp_ns > self._time_ns:
-            return self._count("ahead")
-        return self._count("late" if last_ns is None or arrived.stamp_ns > last_ns else "backwards")
-
-    def _count(self, name: str) -> None:
-        setattr(self.counters, name, getattr(self.counters, name) + 1)
