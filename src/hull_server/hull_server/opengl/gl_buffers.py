@@ -1,4 +1,4 @@
-"""OpenGL programs and buffers: storage buffers, the upload of a frame set, and the read-back of the bricks found.
+"""OpenGL programs and buffers: storage buffers, and the upload of a frame set.
 
 The upload is laid out on the host as the shaders read it, so that a frame set is one transfer.
 """
@@ -14,7 +14,6 @@ import numpy.typing as npt
 from capture_rig import InputError
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 
-from ..grid import BRICK_EDGE
 from ..views import Masks, RigViews
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
@@ -25,11 +24,6 @@ LISTS = 4  # lists that the kernels hand on: coarse blocks, bricks, blocks, half
 FRAME_OFFSET = 256  # bytes: the largest alignment that a driver may ask of a bound range
 PIXELS_PER_WORD = 16
 _HEAD, _BOX = 4, 4  # words: of the frame's head, of a camera's foreground box
-BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRICK_EDGE)])  # as the shaders' Brick
-LIST_BYTES = 16  # size of a dispatch, and length
-LISTS_BYTES = LIST_BYTES * LISTS
-LENGTH_OF_BRICKS = 7  # word of the lists
-PATIENCE_NS = 10_000_000_000  # for the carve of one frame set
 
 
 def check_cameras(count: int) -> None:
@@ -78,10 +72,6 @@ class StorageBuffer:
 
     def bind(self, binding: int) -> None:
         GL.glBindBufferBase(GL.GL_SHADER_STORAGE_BUFFER, binding, self.name)
-
-    def bind_part(self, binding: int, offset: int, nbytes: int) -> None:
-        """Bind bytes ``offset`` (a multiple of 256) to ``offset + nbytes`` only."""
-        GL.glBindBufferRange(GL.GL_SHADER_STORAGE_BUFFER, binding, self.name, offset, nbytes)
 
     def write(self, data: np.ndarray) -> None:
         """Copy a contiguous array to the buffer's beginning."""
@@ -166,40 +156,6 @@ class FrameUpload:
 def _packed(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint32]:
     """Pack flags (h, 16 n) into the low halves of words (h, n): bit p of a word is pixel p."""
     return np.packbits(flags, axis=1, bitorder="little").view("<u2").astype(np.uint32)
-
-
-class FrameBuffers:
-    """The device's buffers of a frame set: upload, bricks and read-back. To be used with the context current."""
-
-    def __init__(self, upload_bytes: int, bricks: int) -> None:
-        self.frame = StorageBuffer(upload_bytes)
-        self._bricks = StorageBuffer(BRICK.itemsize * bricks)
-        self._read_back = StorageBuffer(self._bricks.nbytes, GL.GL_STREAM_READ)
-        self._texture = int(GL.glGenTextures(1))
-        GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
-        GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_R32I, self.frame.name)
-
-    def bind(self, lists: int, frame: int, bricks: int) -> None:
-        """Bind to these binding points; the frame as the texture too, the lists to indirect dispatch too."""
-        self.frame.bind_part(lists, 0, LISTS_BYTES)
-        self.frame.bind_part(frame, FRAME_OFFSET, self.frame.nbytes - FRAME_OFFSET)
-        self._bricks.bind(bricks)
-        GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
-        GL.glBindBuffer(GL.GL_DISPATCH_INDIRECT_BUFFER, self.frame.name)
-
-    def found(self) -> npt.NDArray:
-        """Wait for the bricks found (k,) BRICK, in no particular order. NoGraphics when they do not come."""
-        fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
-        state = GL.glClientWaitSync(fence, GL.GL_SYNC_FLUSH_COMMANDS_BIT, PATIENCE_NS)
-        GL.glDeleteSync(fence)
-        if state not in (GL.GL_ALREADY_SIGNALED, GL.GL_CONDITION_SATISFIED):
-            raise NoGraphics(f"the device did not finish a carve within {PATIENCE_NS // 10**9} s; choose backend 'cpu'")
-        count = int(self.frame.read(np.uint32, 4 * LISTS)[LENGTH_OF_BRICKS])
-        GL.glBindBuffer(GL.GL_COPY_READ_BUFFER, self._bricks.name)
-        GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._read_back.name)
-        nbytes = BRICK.itemsize * count
-        GL.glCopyBufferSubData(GL.GL_COPY_READ_BUFFER, GL.GL_COPY_WRITE_BUFFER, 0, 0, nbytes)
-        return self._read_back.read(BRICK, count)
 
 
 def _text(log: bytes | str) -> str:

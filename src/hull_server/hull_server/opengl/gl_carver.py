@@ -20,7 +20,7 @@ from ..grid import BRICK_EDGE, BrickVolume, VoxelGrid
 from ..views import Boxes, Masks, RigViews
 from .carve_shaders import HEADER, KERNELS
 from .egl import GlContext, NoGraphics
-from .gl_buffers import GL, LIST_BYTES, FrameBuffers, FrameUpload, StorageBuffer, check_cameras, make_program
+from .gl_buffers import FRAME_OFFSET, GL, LISTS, FrameUpload, StorageBuffer, check_cameras, make_program
 
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
 UNIT = float(np.finfo(np.float32).eps) / 2  # relative rounding of one operation
@@ -33,6 +33,10 @@ COARSE_EDGE = 32
 BLOCKS_PER_BRICK = 8
 COARSE_BYTES, BLOCK_BYTES, RECHECK_BYTES = 16, 16, 8  # of the lists' entries; voxels to recheck by half blocks
 BOX_BYTES = 8
+BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRICK_EDGE)])  # as the shaders' Brick
+LIST_BYTES = 16  # size of a dispatch, and length
+LENGTH_OF_BRICKS = 7  # word of the lists
+PATIENCE_NS = 10_000_000_000  # for the carve of one frame set
 
 
 class GlCarver:
@@ -61,9 +65,9 @@ class GlCarver:
         """Carve as :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
         present = self.views.present(masks)
         with self._context.current():
-            self._buffers.frame.write(self._upload.fill(masks, present, min_seeing))
+            self._frame.write(self._upload.fill(masks, present, min_seeing))
             self._run_kernels()
-            bricks = self._buffers.found()
+            bricks = self._read_bricks()
         # in brick order, without the bricks in which no voxel survived
         order = np.argsort(bricks["index"])
         leaves = bricks["leaves"][order]
@@ -108,25 +112,26 @@ class GlCarver:
         }
         for binding, content in contents.items():
             StorageBuffer(content).bind(binding)
-        self._buffers = FrameBuffers(self._upload.words.nbytes, self.grid.brick_count)
+        self._frame = StorageBuffer(self._upload.words.nbytes)
+        self._bricks = StorageBuffer(BRICK.itemsize * self.grid.brick_count)
+        self._read_back = StorageBuffer(self._bricks.nbytes, GL.GL_STREAM_READ)
+        self._texture = int(GL.glGenTextures(1))
+        GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
+        GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_R32I, self._frame.name)
 
     def _check_limits(self, table_bytes: int) -> None:
         """Raise InputError when the largest table or the upload is beyond what the driver can address."""
-        shape, words = " x ".join(map(str, self.grid.shape)), self._upload.words.size
-        most_bytes = int(GL.glGetIntegerv(GL.GL_MAX_SHADER_STORAGE_BLOCK_SIZE))
-        most_words = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_BUFFER_SIZE))
-        if table_bytes > most_bytes:
-            raise InputError(
-                f"{shape} voxels need tables of {table_bytes} bytes; {self.device} allows {most_bytes}",
-                where="voxel_size_m",
-                remedy="Use larger voxels or a smaller volume, or choose backend 'cpu'.",
-            )
-        if words > most_words:
-            raise InputError(
-                f"all silhouettes together need {words} words; {self.device} allows {most_words}",
-                where="backend",
-                remedy="Scale the images down, or choose backend 'cpu'.",
-            )
+        for needed, what, limit in (
+            (table_bytes, "bytes for a table of the voxels", GL.GL_MAX_SHADER_STORAGE_BLOCK_SIZE),
+            (self._upload.words.size, "words for all silhouettes", GL.GL_MAX_TEXTURE_BUFFER_SIZE),
+        ):
+            allowed = int(GL.glGetIntegerv(limit))
+            if needed > allowed:
+                raise InputError(
+                    f"OpenGL needs {needed} {what}; {self.device} allows {allowed}",
+                    where="backend",
+                    remedy="Use larger voxels, a smaller volume or smaller images, or choose backend 'cpu'.",
+                )
 
     def _boxes(self, edge: int) -> np.ndarray:
         """Pack pixel boxes (N, blocks, 2) uint32: u, v from, in 15 bits each, and visibility in the two bits above;
@@ -140,7 +145,12 @@ class GlCarver:
 
     def _run_kernels(self) -> None:
         """Queue one kernel after the other, each to do what the list of the one before holds."""
-        self._buffers.bind(lists=2, frame=3, bricks=5)
+        name, nbytes = self._frame.name, self._frame.nbytes - FRAME_OFFSET
+        GL.glBindBufferRange(GL.GL_SHADER_STORAGE_BUFFER, 2, name, 0, LIST_BYTES * LISTS)
+        GL.glBindBufferRange(GL.GL_SHADER_STORAGE_BUFFER, 3, name, FRAME_OFFSET, nbytes)
+        self._bricks.bind(5)
+        GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
+        GL.glBindBuffer(GL.GL_DISPATCH_INDIRECT_BUFFER, name)
         for number, program in enumerate(self._programs.values()):
             GL.glUseProgram(program)
             if number == 0:
@@ -149,6 +159,20 @@ class GlCarver:
                 GL.glDispatchComputeIndirect(LIST_BYTES * (number - 1))
             GL.glMemoryBarrier(GL.GL_SHADER_STORAGE_BARRIER_BIT | GL.GL_COMMAND_BARRIER_BIT)
         GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
+
+    def _read_bricks(self) -> npt.NDArray:
+        """Wait for the bricks found (k,) BRICK, in no particular order. NoGraphics when they do not come."""
+        fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
+        state = GL.glClientWaitSync(fence, GL.GL_SYNC_FLUSH_COMMANDS_BIT, PATIENCE_NS)
+        GL.glDeleteSync(fence)
+        if state not in (GL.GL_ALREADY_SIGNALED, GL.GL_CONDITION_SATISFIED):
+            raise NoGraphics(f"the device did not finish a carve within {PATIENCE_NS // 10**9} s; choose backend 'cpu'")
+        count = int(self._frame.read(np.uint32, 4 * LISTS)[LENGTH_OF_BRICKS])
+        GL.glBindBuffer(GL.GL_COPY_READ_BUFFER, self._bricks.name)
+        GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._read_back.name)
+        nbytes = BRICK.itemsize * count
+        GL.glCopyBufferSubData(GL.GL_COPY_READ_BUFFER, GL.GL_COPY_WRITE_BUFFER, 0, 0, nbytes)
+        return self._read_back.read(BRICK, count)
 
 
 def single_precision(views: RigViews, grid: VoxelGrid) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64], float]:
