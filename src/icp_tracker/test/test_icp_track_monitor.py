@@ -82,7 +82,7 @@ def seen(person, k, rng, R=None, t=None):
     points = rays.points_world @ R.T + t + NOISE_M * rng.normal(size=(len(rays), 1)) * (rays.normals @ R.T)
     rays = replace(rays, points_world=points, directions=rays.directions @ R.T, normals=rays.normals @ R.T)
     inside = person.inside @ R.T + t
-    voxels = VoxelSamples.checked(inside, np.zeros(len(inside), bool))
+    voxels = VoxelSamples(inside, np.zeros(len(inside), bool))
     return HullProducts.of_points(stamp(k), inside[::9], 0.03, voxels, contour_rays=rays)
 
 

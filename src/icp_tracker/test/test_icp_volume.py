@@ -85,7 +85,7 @@ def test_hull_shows_the_heading_that_the_centerline_cannot(body):
     truth = pose_with(at=(0.0, 0.0, 1.2), left_shoulder_x=-1.45, right_shoulder_x=np.pi + 1.45)
     turn = np.zeros(24)
     turn[5] = 0.35
-    voxels = VoxelSamples.checked(surface_of(body, truth, rng), np.ones(1500, bool))
+    voxels = VoxelSamples(surface_of(body, truth, rng), np.ones(1500, bool))
     torso = sticks(body, truth)[0]
     points = torso[0] + np.linspace(0, 1, 40)[:, None] * (torso[1] - torso[0])
 
@@ -105,14 +105,14 @@ def hull_of(body, pose):
     cells = {tuple(c) for c in np.round(points / 0.03).astype(int)}
     steps = np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])
     around = [[tuple(np.round(p / 0.03).astype(int) + s) in cells for s in steps] for p in points]
-    return VoxelSamples.checked(points, ~np.all(around, axis=1))
+    return VoxelSamples(points, ~np.all(around, axis=1))
 
 
 def test_loose_hull_weighs_less_than_a_tight_one(body):
     truth, settings = synthetic.t_pose(), ArticulatedSettings()
     tight = hull_of(body, truth)
     centre = truth.position_world
-    loose = VoxelSamples.checked(centre + (tight.points_world - centre) * [2.5, 1.3, 1.0], tight.surface)
+    loose = VoxelSamples(centre + (tight.points_world - centre) * [2.5, 1.3, 1.0], tight.surface)
 
     def share(hull):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from stick_figure.pose import Pose
 
-from .table import column, columns, fill, layout
-
-UPPER_TRIANGLE = np.triu_indices(3)
-COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
+from .table import ZEROS, Columns, Flags
 
 GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
 PART_NAMES = ("trunk", "left arm", "right arm", "left leg", "right leg")
@@ -29,7 +26,7 @@ GONE_AFTER_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencePoints:
+class ReferencePoints(Columns):
     """The 15 reference points in the order of `stick_figure.skeleton.POINT_NAMES`; world frame.
 
     points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured. doubtful :
@@ -37,32 +34,15 @@ class ReferencePoints:
     place, so that the way there is no motion. Without them, none.
     """
 
-    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible", "doubtful", "moved")
-
-    points_world: np.ndarray
-    covariance: np.ndarray
-    visible: np.ndarray
-    doubtful: np.ndarray = field(default_factory=lambda: np.zeros(15, bool))
-    moved: np.ndarray = field(default_factory=lambda: np.zeros(15, bool))
+    points_world: Annotated[np.ndarray, "x y z"]
+    covariance: Annotated[np.ndarray, "cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz"]
+    visible: Flags
+    doubtful: Flags = ZEROS
+    moved: Flags = ZEROS
 
     def __iter__(self) -> Iterator[np.ndarray]:
         """Points, covariance, visibility, doubt, which were found elsewhere."""
         return iter((self.points_world, self.covariance, self.visible, self.doubtful, self.moved))
-
-    def to_table(self) -> np.ndarray:
-        """Return the 15 rows as the structured array LAYOUT."""
-        covariance = np.asarray(self.covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
-        flags = (np.asarray(flag, float) for flag in (self.visible, self.doubtful, self.moved))
-        return fill(self.LAYOUT, self.points_world, covariance, *flags)
-
-    @classmethod
-    def from_table(cls, table: np.ndarray) -> ReferencePoints:
-        """Return the inverse of :meth:`to_table`."""
-        covariance = np.empty((len(table), 3, 3))
-        for name, row, col in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
-            covariance[:, row, col] = covariance[:, col, row] = column(table, name)
-        flags = (table[name] > 0.5 for name in ("visible", "doubtful", "moved"))
-        return cls(columns(table, "x", "y", "z"), covariance, *flags)
 
 
 NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))

@@ -8,26 +8,18 @@ number until they part; -1 is nobody. World frame (map), metres.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, TypeVar
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
-from .table import NO_AGES, Columns, SetAges
+from .table import NO_AGES, ZEROS, Columns, Flags, Numbers, SetAges
 
 # Thresholds: judgement, no measurement.
 REACH_M = 0.35
 """Body surface and half a limb: what is farther from all 15 reference points belongs to another person."""
-_UNSET = np.empty(0, np.int32)
-
-Rows = TypeVar("Rows", "Centerline", "VoxelSamples", "ContourRays")
-
-
-def _number_one_body(packet: VoxelSamples | ContourRays) -> None:
-    if len(packet.body) != len(packet):
-        object.__setattr__(packet, "body", np.zeros(len(packet), np.int32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +31,13 @@ class Centerline(Columns):
     of the slice. body : (n,) int32.
     """
 
-    COLUMNS = "points_world: x y z; sigma; axis; area_m2: area; elongation; fill; body"
-    KINDS: ClassVar = {"axis": np.uint8, "body": np.int32}
-
-    points_world: np.ndarray
+    points_world: Annotated[np.ndarray, "x y z"]
     sigma: np.ndarray
-    axis: np.ndarray
-    area_m2: np.ndarray
+    axis: Annotated[np.ndarray, np.uint8]
+    area_m2: Annotated[np.ndarray, "area"]
     elongation: np.ndarray
     fill: np.ndarray
-    body: np.ndarray
+    body: Numbers
 
     def near(self, reference_points_world: np.ndarray) -> np.ndarray:
         """Return (n,) bool: what may belong to a person whose reference points (15, 3) are there."""
@@ -75,30 +64,18 @@ class VoxelSamples(Columns):
     Without ``body``, all of one body, number 0.
     """
 
-    COLUMNS = "points_world: x y z; surface; body"
-    KINDS: ClassVar = {"surface": np.bool_, "body": np.int32}
-
-    points_world: np.ndarray
-    surface: np.ndarray
-    body: np.ndarray = field(default_factory=lambda: _UNSET)
-
-    def __post_init__(self) -> None:
-        _number_one_body(self)
-
-    @classmethod
-    def checked(cls, points_world: np.ndarray, surface: np.ndarray) -> VoxelSamples:
-        """Return the samples of one body whose coordinates are finite, as contiguous arrays."""
-        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
-        finite = np.isfinite(points).all(axis=1)
-        return cls(np.ascontiguousarray(points[finite]), np.asarray(surface, dtype=np.bool_)[finite])
+    points_world: Annotated[np.ndarray, "x y z"]
+    surface: Flags
+    body: Numbers = ZEROS
 
     def surface_points(self, count: int) -> np.ndarray:
         """Return at most ``count`` samples (m, 3) of the surface, evenly spread over the rows; always the same ones."""
-        return _thinned(self.points_world, count, np.flatnonzero(self.surface))
+        rows = np.flatnonzero(self.surface)
+        return self.points_world.take(rows[_spread(len(rows), count)], axis=0)
 
     def hull_points(self, count: int) -> np.ndarray:
         """Return at most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
-        return _thinned(self.points_world, count)
+        return self.points_world.take(_spread(len(self), count), axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,34 +93,18 @@ class ContourRays(Columns):
     stamp. Without ``body``, ``camera`` and ``time_s``, all 0.
     """
 
-    COLUMNS = "points_world: x y z; directions: dx dy dz; normals: nx ny nz; half_lengths: half;"
-    COLUMNS += " sigma; camera; body; time_s: time"
-    KINDS: ClassVar = {"camera": np.int32, "body": np.int32}
-
-    points_world: np.ndarray
-    directions: np.ndarray
-    normals: np.ndarray
-    half_lengths: np.ndarray
+    points_world: Annotated[np.ndarray, "x y z"]
+    directions: Annotated[np.ndarray, "dx dy dz"]
+    normals: Annotated[np.ndarray, "nx ny nz"]
+    half_lengths: Annotated[np.ndarray, "half"]
     sigma: np.ndarray
-    body: np.ndarray = field(default_factory=lambda: _UNSET)
-    camera: np.ndarray = field(default_factory=lambda: _UNSET)
-    time_s: np.ndarray = field(default_factory=lambda: _UNSET)
-
-    def __post_init__(self) -> None:
-        _number_one_body(self)
-        for name, kind in (("camera", np.int32), ("time_s", np.float64)):
-            if len(getattr(self, name)) != len(self.sigma):
-                object.__setattr__(self, name, np.zeros(len(self.sigma), kind))
+    camera: Numbers = ZEROS
+    body: Numbers = ZEROS
+    time_s: Annotated[np.ndarray, "time"] = ZEROS
 
     def thinned(self, count: int) -> ContourRays:
         """Return at most ``count`` rays, evenly spread over the rows, which follow the outlines; always the same."""
-        if len(self) <= count:
-            return self
-        return self.chosen(np.arange(count) * len(self) // count)
-
-    def chosen(self, rows: np.ndarray) -> ContourRays:
-        """Return some rows, by number or mask."""
-        return _rows(self, rows)
+        return self.chosen(_spread(len(self), count))
 
 
 PARTS: dict[str, Any] = {"centerline": Centerline, "voxels": VoxelSamples, "contour_rays": ContourRays}
@@ -197,41 +158,27 @@ class HullProducts:
     def finite(self) -> tuple[HullProducts, int]:
         """Return the same with the centerline points that are finite numbers, and how many were not."""
         line = self.centerline
-        if np.isfinite(line.points_world).all() and np.isfinite(line.sigma).all():
-            return self, 0
         good = np.isfinite(line.points_world).all(axis=1) & np.isfinite(line.sigma)
-        return replace(self, centerline=_rows(line, good)), int((~good).sum())
+        return (self, 0) if good.all() else (replace(self, centerline=line.chosen(good)), int((~good).sum()))
 
     def numbers(self) -> list[int]:
         """Return the numbers of the bodies that rows belong to, in order; nobody's rows are no body's."""
-        packets = (self.centerline, self.voxels, self.contour_rays)
-        counts = [np.bincount(packet.body + 1) for packet in packets]  # nobody's rows have number -1
+        counts = [np.bincount(getattr(self, name).body + 1) for name in PARTS]  # nobody's rows have number -1
         return sorted({int(row) - 1 for count in counts for row in np.flatnonzero(count)} - {-1})
 
     def of_body(self, number: int) -> HullProducts:
         """Return the rows of one body."""
-        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
-        return self.of_rows(line.body == number, voxels.body == number, rays.body == number)
+        return self.of_rows(*(getattr(self, name).body == number for name in PARTS))
 
     def of_rows(self, line: np.ndarray, voxels: np.ndarray, contour_rays: np.ndarray) -> HullProducts:
         """Return some rows of each kind, by masks."""
-        return HullProducts(
-            self.stamp_ns,
-            _rows(self.centerline, line),
-            _rows(self.voxels, voxels),
-            _rows(self.contour_rays, contour_rays),
-            keypoints=self.keypoints,
-        )
+        rows = zip(PARTS, (line, voxels, contour_rays), strict=True)
+        return replace(self, **{name: getattr(self, name).chosen(own) for name, own in rows})
 
     def renumbered(self, number_of: Callable[[np.ndarray], np.ndarray]) -> HullProducts:
         """Return the same rows; ``number_of`` maps their bodies (n,) int32 to others."""
-        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
-        return replace(
-            self,
-            centerline=replace(line, body=number_of(line.body)),
-            voxels=replace(voxels, body=number_of(voxels.body)),
-            contour_rays=replace(rays, body=number_of(rays.body)),
-        )
+        parts = {name: getattr(self, name) for name in PARTS}
+        return replace(self, **{name: replace(part, body=number_of(part.body)) for name, part in parts.items()})
 
     def as_one_body(self) -> HullProducts:
         """Return the same rows, all numbered as those of body 0."""
@@ -250,17 +197,6 @@ class HullProducts:
         return self.of_body(int(bodies[np.argmax([np.count_nonzero(near & (line.body == body)) for body in bodies])]))
 
 
-def _rows(packet: Rows, rows: np.ndarray) -> Rows:
-    """Return the chosen rows of every column, contiguous."""
-    if rows.dtype == np.bool_:
-        rows = np.flatnonzero(rows)  # to take rows by number is several times faster than by mask
-    return replace(packet, **{name: values.take(rows, axis=0) for name, values in vars(packet).items()})
-
-
-def _thinned(points: np.ndarray, count: int, rows: np.ndarray | None = None) -> np.ndarray:
-    """Return at most ``count`` of the points (of the given rows), evenly spread, contiguous."""
-    available = len(points) if rows is None else len(rows)
-    if available > count:
-        chosen = np.arange(count) * available // count
-        rows = chosen if rows is None else rows[chosen]
-    return np.ascontiguousarray(points if rows is None else points.take(rows, axis=0))
+def _spread(available: int, count: int) -> np.ndarray:
+    """Return at most ``count`` of so many rows, evenly spread."""
+    return np.arange(count) * available // count if available > count else np.arange(available)

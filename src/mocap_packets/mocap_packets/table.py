@@ -6,11 +6,17 @@ That of one row which all packets of a frame set carry are its ages at four poin
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_type_hints
 
 import numpy as np
 
 from capture_rig.errors import InputError
+
+UPPER_TRIANGLE = np.triu_indices(3)
+ZEROS: Any = None
+"""Stands for a column of zeros."""
+Flags = Annotated[np.ndarray, np.bool_]
+Numbers = Annotated[np.ndarray, np.int32]
 
 
 def layout(*names: str) -> np.dtype:
@@ -24,51 +30,56 @@ def fill(dtype: np.dtype, *columns: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(flat).view(dtype).reshape(-1)
 
 
-def column(table: np.ndarray, name: str) -> np.ndarray:
-    """Return one field (n,) as float64."""
-    return table[name].astype(np.float64)
-
-
-def columns(table: np.ndarray, *names: str) -> np.ndarray:
-    """Several fields as (n, k) float64."""
-    return np.stack([table[name] for name in names], axis=1).astype(np.float64)
-
-
 class Columns:
     """A packet of n rows whose attributes, (n,) or (n, k), are columns of a table.
 
-    COLUMNS : in the table's order, each attribute, and behind a colon its columns' names where these are others. KINDS:
-    of attributes that are not float64.
+    Annotated are attributes whose columns have other names, and those that are not float64. Symmetric matrices (n, 3,
+    3) have six columns, their upper triangle. An attribute that is :data:`ZEROS` becomes zeros.
     """
 
-    COLUMNS: ClassVar[str]
-    KINDS: ClassVar[dict[str, type[np.generic]]] = {}
     LAYOUT: ClassVar[np.dtype]
     _names: ClassVar[dict[str, list[str]]]
+    _kinds: ClassVar[dict[str, type[np.generic]]]
 
     points_world: np.ndarray
 
     def __init_subclass__(cls) -> None:
-        given = (column.split(":") for column in cls.COLUMNS.split("; "))
-        cls._names = {attribute: names[0].split() if names else [attribute] for attribute, *names in given}
+        hints = {name: hint for name, hint in get_type_hints(cls, include_extras=True).items() if name[0].islower()}
+        notes = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+        cls._names = {name: next((n.split() for n in own if isinstance(n, str)), [name]) for name, own in notes.items()}
+        cls._kinds = {name: next((n for n in own if isinstance(n, type)), np.float64) for name, own in notes.items()}
         cls.LAYOUT = layout(*(name for names in cls._names.values() for name in names))
+
+    def __post_init__(self) -> None:
+        for name, kind in self._kinds.items():
+            if getattr(self, name) is ZEROS:
+                object.__setattr__(self, name, np.zeros(len(self), kind))
 
     def __len__(self) -> int:
         return len(self.points_world)
 
+    def chosen(self, rows: np.ndarray) -> Self:
+        """Return some rows, by number or mask, contiguous."""
+        if rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)  # to take rows by number is several times faster than by mask
+        return type(self)(*(getattr(self, name).take(rows, axis=0) for name in self._names))
+
     def to_table(self) -> np.ndarray:
         """Return the rows as the structured array LAYOUT."""
-        return fill(self.LAYOUT, *(getattr(self, attribute) for attribute in self._names))
+        values = (getattr(self, name) for name in self._names)
+        return fill(self.LAYOUT, *(v[:, *UPPER_TRIANGLE] if v.ndim == 3 else v for v in values))
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> Self:
         """Return the inverse of :meth:`to_table`."""
-        given = dict[str, np.ndarray]()
-        for attribute, names in cls._names.items():
-            values = columns(table, *names) if len(names) > 1 else column(table, *names)
-            kind = cls.KINDS.get(attribute, np.float64)
-            given[attribute] = values > 0.5 if kind is np.bool_ else values.astype(kind, copy=False)
-        return cls(**given)
+        given = list[np.ndarray]()
+        for names, kind in zip(cls._names.values(), cls._kinds.values(), strict=True):
+            values = np.stack([table[name] for name in names], axis=-1).astype(kind)
+            if len(names) == len(UPPER_TRIANGLE[0]):
+                upper, values = values, np.empty((len(table), 3, 3))
+                values[:, *UPPER_TRIANGLE] = values[:, *UPPER_TRIANGLE[::-1]] = upper
+            given.append(values[:, 0] if len(names) == 1 else values)
+        return cls(*given)
 
 
 AGE_POINTS = ("received", "hull", "fitted", "published")

@@ -23,7 +23,7 @@ def products():
     """Rows of bodies 0 and 1, and of none."""
     points, unit = RNG.normal(size=(3, ROWS, 3)), np.eye(3)[np.arange(ROWS) % 3]
     line = Centerline(points[0], *RNG.random((1, ROWS)), BODY.astype(np.uint8) % 3, *RNG.random((3, ROWS)), BODY)
-    rays = ContourRays(points[2], unit, np.roll(unit, 1, axis=1), *RNG.random((2, ROWS)), BODY, BODY + 1)
+    rays = ContourRays(points[2], unit, np.roll(unit, 1, axis=1), *RNG.random((2, ROWS)), BODY + 1, BODY)
     return HullProducts(5, line, VoxelSamples(points[1], RNG.random(ROWS) < 0.5, BODY), rays)
 
 

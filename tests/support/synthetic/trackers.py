@@ -138,4 +138,4 @@ def surface_voxels(capsules: Capsules, rng: np.random.Generator) -> VoxelSamples
         outside &= distance > r0 + v * (r1 - r0) - 1e-3
     voxels = np.unique((skin[outside] / VOXEL_M).astype(int), axis=0) * VOXEL_M
     chosen = rng.permutation(voxels)[:VOXELS]
-    return VoxelSamples.checked(chosen, np.ones(len(chosen)))
+    return VoxelSamples(chosen, np.ones(len(chosen), bool))

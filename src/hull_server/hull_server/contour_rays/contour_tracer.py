@@ -69,7 +69,7 @@ class ContourTracer:
         camera = np.repeat(present.astype(np.int32), [len(table) for table in tables])
         table = np.concatenate(tables)
         part = table[:, 11].astype(np.int32)
-        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], part, camera)
+        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], camera, part)
 
     def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
         mask, levels = np.ascontiguousarray(mask), np.ascontiguousarray(levels)
