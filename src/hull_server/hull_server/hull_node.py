@@ -149,7 +149,7 @@ class HullNode(SagomaNode):
         pending, closed_ns, begun_ns = carved
         frame_set, frame_id, taken_ns = pending.frame_set, self.settings.frame_id, monotonic_ns()
         result = self._pipeline.finish(pending)
-        self._mesh.keep(result)
+        self._mesh.newest = result
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:
             self._supports[report.camera].publish(support_message, report, self.tf_prefix)
@@ -168,7 +168,7 @@ class HullNode(SagomaNode):
             "hull_ms": (published_ns - begun_ns) / 1e6,
             "published_ms": (published_ns - frame_set.stamp_ns) / 1e6,  # capture to published
         }
-        self._frame_set.publish(frame_set_message, result, times_ms)
+        self._frame_set.publish(frame_set_message, result, self._pipeline.backend.name, times_ms)
         self._report(result)
         self.health.tick(frame_set.stamp_ns)
         if self._overload is not None:

@@ -35,38 +35,13 @@ Mask = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class HullResult:
-    """The hull of one frame set.
-
-    stamp_ns : capture stamp of the set. products : what travels on to the tracker. cameras, missing : cameras that were
-    carved with, and those that delivered nothing. blank : cameras whose silhouette is empty; they empty the hull
-    wherever they see. camera_faults : cameras that contradict the others; those left out were not carved with.
-    bodies : the parts of the hull large enough to be a person, numbered. support : where each camera's foreground can
-    be a body, as far as the others see; a few times a second, else empty. min_seeing : how many cameras had to see a
-    voxel. stage_ms : time spent in each stage.
-    """
-
-    stamp_ns: int
-    products: HullProducts
-    volume: BrickVolume
-    bodies: Bodies
-    cameras: tuple[str, ...]
-    missing: tuple[str, ...]
-    blank: tuple[str, ...]
-    camera_faults: CameraFaults
-    support: tuple[ForegroundSupport, ...]
-    min_seeing: int
-    backend: str
-    stage_ms: dict[str, float]
-
-    @property
-    def empty(self) -> bool:
-        return len(self.volume.index) == 0
-
-
-@dataclass(frozen=True, eq=False)
 class PendingHull:
-    """A frame set that was carved: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
+    """A frame set that was carved: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`.
+
+    masks : of the cameras that were carved with, shadows resolved. blank : cameras whose silhouette is empty; they
+    empty the hull wherever they see. camera_faults : cameras that contradict the others; those left out were not carved
+    with. min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
+    """
 
     frame_set: FrameSet[Mask]
     masks: dict[str, Mask]
@@ -75,6 +50,27 @@ class PendingHull:
     min_seeing: int
     volume: BrickVolume
     stage_ms: dict[str, float]
+
+    @property
+    def stamp_ns(self) -> int:
+        return self.frame_set.stamp_ns
+
+    @property
+    def empty(self) -> bool:
+        return len(self.volume.index) == 0
+
+
+@dataclass(frozen=True, eq=False)
+class HullResult(PendingHull):
+    """The hull of one frame set.
+
+    products : what travels on to the tracker. bodies : the parts of the hull large enough to be a person, numbered.
+    support : where each camera's foreground can be a body, as far as the others see; a few times a second, else empty.
+    """
+
+    products: HullProducts
+    bodies: Bodies
+    support: tuple[ForegroundSupport, ...]
 
 
 class HullPipeline:
@@ -126,7 +122,7 @@ class HullPipeline:
 
     def finish(self, pending: PendingHull) -> HullResult:
         """Slice, filter, sample, and trace the contour rays."""
-        frame_set, blob, watch = pending.frame_set, self.settings.blob, _StageWatch()
+        frame_set, watch = pending.frame_set, _StageWatch()
         # tell the camera clients where their foreground has no support, so that moved things become background
         shown = frame_set.frames | pending.masks
         support = self._support.update(shown, pending.masks, frame_set.stamp_ns) if self._support else ()
@@ -139,7 +135,7 @@ class HullPipeline:
         watch.lap("slice")
         bodies = self._bodies.step(frame_set.stamp_ns, runs, self.grid)
         # centroids of the blobs that look like a limb or trunk cut across (3.2)
-        centerline = find_centerline(blobs, self.grid, blob)
+        centerline = find_centerline(blobs, self.grid, self.settings.blob)
         watch.lap("filter")
         voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1))
         watch.lap("sample")
@@ -147,20 +143,9 @@ class HullPipeline:
         contour_rays = self._timed(self._contour.trace(pending.masks, runs, frame_set.frames), frame_set)
         products = HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays)
         watch.lap("contour_rays")
-        return HullResult(
-            stamp_ns=frame_set.stamp_ns,
-            products=products.renumbered(bodies.number_of_part.__getitem__),
-            volume=volume,
-            bodies=bodies,
-            cameras=tuple(pending.masks),
-            missing=frame_set.missing,
-            blank=pending.blank,
-            camera_faults=pending.camera_faults,
-            support=support,
-            min_seeing=pending.min_seeing,
-            backend=self.backend.name,
-            stage_ms=pending.stage_ms | watch.laps_ms,
-        )
+        products = products.renumbered(bodies.number_of_part.__getitem__)
+        done = vars(pending) | {"volume": volume, "stage_ms": pending.stage_ms | watch.laps_ms}
+        return HullResult(**done, products=products, bodies=bodies, support=support)
 
     def _timed(self, rays: ContourRays, frame_set: FrameSet[Mask]) -> ContourRays:
         """Return the rays with their times: those of their cameras, and of their rows where shutters roll."""

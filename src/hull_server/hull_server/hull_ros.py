@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic_ns
 
@@ -39,14 +39,14 @@ OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
 """Columns: the optical frame's x (right), y (down), z (forward) in the camera's x forward, y left, z up (REP-103)."""
 
 
-def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
+def frame_set_message(result: HullResult, backend: str, times_ms: dict[str, float]) -> DiagnosticArray:
     """Report a set's cameras, their faults, and the time of each stage; ``times_ms`` are further times, by key."""
     texts = {
-        "cameras": ",".join(result.cameras),
-        "missing": ",".join(result.missing),
+        "cameras": ",".join(result.masks),
+        "missing": ",".join(result.frame_set.missing),
         "blank": ",".join(result.blank),
         "min_seeing": str(result.min_seeing),
-        "backend": result.backend,
+        "backend": backend,
         "voxels": str(result.volume.count),
         "litres": f"{result.volume.litres:.2f}",
         "points": str(len(result.products.centerline)),
@@ -77,18 +77,15 @@ def camera_values(result: HullResult) -> dict[str, str]:
 
 def summarise(result: HullResult) -> tuple[bytes, str]:
     """Return level and one line of text about what is wrong with this frame set."""
-    troubles = []
-    if result.missing:
-        troubles.append(f"nothing in time from {', '.join(result.missing)}")
+    faults, troubles = result.camera_faults, []
+    if result.frame_set.missing:
+        troubles.append(f"nothing in time from {', '.join(result.frame_set.missing)}")
     if result.blank:
         troubles.append(f"empty silhouette from {', '.join(result.blank)}")
-    troubles += [
-        result.camera_faults.reasons[camera]
-        for camera in (*result.camera_faults.left_out, *result.camera_faults.suspects)
-    ]
-    if result.camera_faults.warning:
-        troubles.append(result.camera_faults.warning)
-    if len(result.cameras) < result.min_seeing:
+    troubles += [faults.reasons[camera] for camera in (*faults.left_out, *faults.suspects)]
+    if faults.warning:
+        troubles.append(faults.warning)
+    if len(result.masks) < result.min_seeing:
         troubles.append(f"a hull needs {result.min_seeing} cameras")
     if result.empty:
         troubles.append("the hull is empty")
@@ -170,13 +167,9 @@ class SaveMeshService:
 
     def __init__(self, node: Node, settings: MeshSettings) -> None:
         self._node, self._settings = node, settings
-        self._newest: HullResult | None = None
+        self.newest: HullResult | None = None  # set by the slicer's thread
         self._thread = ThreadPoolExecutor(1, "mesh")
         self._service = node.create_service(Trigger, "~/save_mesh", self._on_save)
-
-    def keep(self, result: HullResult) -> None:
-        """Remember the newest hull; any thread."""
-        self._newest = result
 
     def close(self) -> None:
         """Remove the service; a mesh that is being written is finished first."""
@@ -184,30 +177,21 @@ class SaveMeshService:
         self._thread.shutdown(wait=True)
 
     async def _on_save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        result = self._newest
+        done = rclpy.task.Future(executor=self._node.executor)
+        self._thread.submit(self._answer, self.newest, response, done)
+        return await done
+
+    def _answer(self, result: HullResult | None, response: Trigger.Response, done: rclpy.task.Future) -> None:
         try:
             if result is None:
                 raise InputError("no frame set has been carved yet", remedy="Start the cameras, then ask again.")
-            response.message = await self._in_background(result)
-            response.success = True
+            response.message, response.success = self._write(result), True
         except InputError as error:
-            response.success, response.message = False, str(error)
+            response.message = str(error)
+        except Exception as error:  # the node's executor reports it
+            return done.set_exception(error)
         self._node.get_logger().info(f"save_mesh: {response.message}")
-        return response
-
-    def _in_background(self, result: HullResult) -> rclpy.task.Future:
-        """Return a future that the node's executor resolves once the file is written."""
-        answer = rclpy.task.Future(executor=self._node.executor)
-
-        def hand_over(work: Future[str]) -> None:
-            error = work.exception()
-            if error is None:
-                answer.set_result(work.result())
-            else:
-                answer.set_exception(error)
-
-        self._thread.submit(self._write, result).add_done_callback(hand_over)
-        return answer
+        done.set_result(response)
 
     def _write(self, result: HullResult) -> str:
         from .mesh import surface_mesh, write_ply  # imports scikit-image: 50 MB that most nodes never need

@@ -5,7 +5,7 @@ The hull is its voxels, dilated by a voxel, as bits of rows along x; a ray march
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,15 +23,15 @@ _U1 = np.uint64(1)
 class Hull(NamedTuple):
     """The hull that rays may touch.
 
-    wide, size : see :func:`widen`. corner (3,) of its box in metres, map frame; voxel_m. runs : see :func:`part_near`;
-    several : whether the hull has more than one part.
+    wide, size : see :func:`widen`. corner (3,) of its box in metres, map frame; voxel_m. several : whether the hull has
+    more than one part.
     """
 
     wide: npt.NDArray[np.uint64]
     size: tuple[int, int, int]
     corner: npt.NDArray[np.float64]
     voxel_m: float
-    runs: tuple[Any, ...]
+    runs: HullRuns
     several: bool
 
     @classmethod
@@ -39,8 +39,7 @@ class Hull(NamedTuple):
         """Return the hull of these runs."""
         wide, size = widen(runs.words, runs.ends)
         corner = grid.origin + (runs.low - PAD) * grid.voxel_size
-        lines = runs.starts, runs.ends, runs.first, runs.part, runs.words.shape
-        return cls(wide, size, corner, grid.voxel_size, lines, bool(runs.part.any()))
+        return cls(wide, size, corner, grid.voxel_size, runs, bool(runs.part.any()))
 
 
 @njit(cache=True, nogil=True)
@@ -154,10 +153,10 @@ def _occupied(wide, first, step, n):  # type: ignore[no-untyped-def]
 def part_near(runs, place):  # type: ignore[no-untyped-def]
     """Return the part of the hull that a voxel near a place belongs to: the first found in growing cubes around it.
 
-    runs : starts, ends, first, part and the shape of words of :class:`hull_server.slicing.voxel_runs.HullRuns`;
     place (3,) in voxels from the corner of the widened box.
     """
-    starts, ends, first, part, (layers, rows, _) = runs
+    words, _, starts, ends, first, part = runs
+    layers, rows, _ = words.shape
     x, y, z = int(place[0]) - PAD, int(place[1]) - PAD, int(place[2]) - PAD
     for reach in range(PAD + 2):
         for s in range(max(z - reach, 0), min(z + reach + 1, layers)):

@@ -137,9 +137,7 @@ def _joined(parts: Parts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.i
 
 def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:
     """Measure volume, place and extent of every part of the hull, however small."""
-    layers, rows, _ = runs.words.shape
-    parts = int(runs.part.max()) + 1 if len(runs.part) else 0
-    sums, low, high = _sum_parts(runs.starts, runs.ends, runs.first, runs.part, layers, rows, parts)
+    sums, low, high = _sum_parts(runs, int(runs.part.max(initial=-1)) + 1)
     corner, size = grid.origin + runs.low * grid.voxel_size, grid.voxel_size
     return Parts(
         litres=sums[:, 0] * (grid.voxel_volume_m3 * 1e3),
@@ -150,8 +148,10 @@ def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:
 
 
 @njit(cache=True, nogil=True)
-def _sum_parts(starts, ends, first, part, layers, rows, parts):  # type: ignore[no-untyped-def]
+def _sum_parts(runs, parts):  # type: ignore[no-untyped-def]
     """Sum 1, x, y, z over the voxels of each part (p, 4); find its lowest voxel and the one beyond its highest."""
+    words, _, starts, ends, first, part = runs
+    layers, rows, _ = words.shape
     sums = np.zeros((parts, 4))
     low, high = np.full((parts, 3), 1 << 30), np.zeros((parts, 3), np.int64)
     for s in range(layers):

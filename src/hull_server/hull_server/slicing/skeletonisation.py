@@ -9,7 +9,7 @@ The centroids of the blobs that look like a limb cut across are the centerline.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +35,7 @@ SIGMA_PER_GROWTH_M = 0.005
 FULL = 0.97
 
 
-@dataclass(frozen=True, eq=False)
-class BlobTable:
+class BlobTable(NamedTuple):
     """The n blobs of all slices, ordered by axis, slice, and position of their first voxel. Lengths in voxels.
 
     axis : (n,) uint8, the axis that the slice is perpendicular to: 0 = x, 1 = y, 2 = z.
@@ -56,17 +55,14 @@ class BlobTable:
     growth: Array
     part: npt.NDArray[np.int32]
 
-    def __len__(self) -> int:
-        return len(self.axis)
-
 
 def slice_hull(volume: BrickVolume) -> tuple[BlobTable, HullRuns]:
     """Find all blobs of all slices across x, y and z, and the runs of voxels that make up the hull."""
     step_voxels = max(1, math.ceil(GROWTH_STEP_M / volume.grid.voxel_size - 1e-6))
     bricks_x, bricks_y, _ = volume.grid.brick_shape
     index, leaves = np.ascontiguousarray(volume.index), np.ascontiguousarray(volume.leaves)
-    columns, runs = _slice(index, leaves, bricks_x, bricks_y, step_voxels)
-    return BlobTable(*columns), HullRuns(*runs)
+    blobs, runs = _slice(index, leaves, bricks_x, bricks_y, step_voxels)
+    return blobs, runs
 
 
 def find_centerline(blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings) -> Centerline:
@@ -84,14 +80,12 @@ def find_centerline(blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings) ->
         filters.min_fill,
         filters.max_growth or float("inf"),
     )
-    columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
-    points, sigma, axis, area_m2, elongation, fill, part = _select(*columns, limits, grid.origin, grid.voxel_size)
-    return Centerline(points, sigma, axis, area_m2, elongation, fill, part)
+    return Centerline(*_select(blobs, limits, grid.origin, grid.voxel_size))
 
 
 @njit(cache=True, nogil=True)
 def _slice(index, leaves, bricks_x, bricks_y, step):  # type: ignore[no-untyped-def]
-    """Compute the columns of the blob table, and of the runs."""
+    """Compute the blob table, and the runs."""
     box = brick_box(index, bricks_x, bricks_y)
     low = 8 * np.array([box[0], box[1], box[2]])
     along_x, along_y = pack_rows(index, leaves, bricks_x, bricks_y, box)
@@ -104,14 +98,13 @@ def _slice(index, leaves, bricks_x, bricks_y, step):  # type: ignore[no-untyped-
     across_y = sum_blobs(runs, joined_y, layers, rows, True, step)
     across_x = sum_blobs(runs_y, join_in_slices(runs_y, columns, True), layers, columns, True, step)
 
-    axis, area, centroid, covariance, growth, voxel = join_tables(across_x, across_y, across_z)
-    part_of_blob = np.empty(axis.size, np.int32)
-    for blob in range(axis.size):
+    blobs, voxel = join_tables(across_x, across_y, across_z)
+    for blob in range(blobs.axis.size):
         line = voxel[blob, 2] * rows + voxel[blob, 1]
-        part_of_blob[blob] = part[run_at(starts, ends, first, line, voxel[blob, 0])]
+        blobs.part[blob] = part[run_at(starts, ends, first, line, voxel[blob, 0])]
         for k in range(3):
-            centroid[blob, k] += low[k]
-    return (axis, area, centroid, covariance, growth, part_of_blob), (along_x, low, starts, ends, first, part)
+            blobs.centroid[blob, k] += low[k]
+    return blobs, HullRuns(along_x, low, starts, ends, first, part)
 
 
 @njit(cache=True, nogil=True)
@@ -209,9 +202,9 @@ def _growth(runs, layers, rows, across_layers, step, slices, sums, labels, blob_
 
 @njit(cache=True, nogil=True)
 def join_tables(across_x, across_y, across_z):  # type: ignore[no-untyped-def]
-    """Join the blobs of three axes: axis, area, centroid, covariance, growth, first voxel (i, j, k); see BlobTable."""
+    """Join the blobs of three axes, of parts yet unknown; also return their first voxels (n, 3) (i, j, k)."""
     count = across_x[0].size + across_y[0].size + across_z[0].size
-    axis, area, growth = np.empty(count, np.uint8), np.empty(count), np.empty(count)
+    axis, area, growth, part = np.empty(count, np.uint8), np.empty(count), np.empty(count), np.empty(count, np.int32)
     centroid, covariance, voxel = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3), np.int32)
     row = 0
     for number, along, across, table in ((0, 1, 2, across_x), (1, 0, 2, across_y), (2, 0, 1, across_z)):
@@ -227,7 +220,7 @@ def join_tables(across_x, across_y, across_z):  # type: ignore[no-untyped-def]
             if number == 0:  # runs along y lie in rows of one x
                 voxel[row, 0], voxel[row, 1] = corner[blob, 1], corner[blob, 0]
             row += 1
-    return axis, area, centroid, covariance, growth, voxel
+    return BlobTable(axis, area, centroid, covariance, growth, part), voxel
 
 
 @njit(cache=True, nogil=True)
@@ -246,8 +239,9 @@ def shape_of(area, uu, vv, uv):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _select(axis, area, centroid, covariance, growth, part, limits, origin, voxel_m):  # type: ignore[no-untyped-def]
+def _select(blobs, limits, origin, voxel_m):  # type: ignore[no-untyped-def]
     """Compute the columns of the centerline."""
+    axis, area, centroid, covariance, growth, part = blobs
     min_area, max_elongation, min_fill, max_growth = limits
     kept, shape, count = np.empty(area.size, np.int64), np.empty((area.size, 2)), 0
     for n in range(area.size):

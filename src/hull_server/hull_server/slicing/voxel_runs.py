@@ -7,7 +7,7 @@ forest of labels, in which the smallest label of a tree is its root.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +24,7 @@ SURFACE_SHARE = 2.0 / 3.0  # of the samples, as long as there are enough voxels 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class HullRuns:
+class HullRuns(NamedTuple):
     """The occupied voxels as m runs along x, in rows ordered by z, then y, counted from the box's low voxel.
 
     words : (layers, rows, words) uint64, bit b of word w is the voxel 64 w + b along x.
@@ -231,11 +230,11 @@ def sample_runs(runs: HullRuns, grid: VoxelGrid, max_voxels: int) -> VoxelSample
     interior, on_surface, inside = _find_interior(runs.words, runs.first)
     from_surface, from_inside = _quotas(on_surface, inside, max_voxels)
     points, part = np.empty((from_surface + from_inside, 3)), np.empty(from_surface + from_inside, np.int32)
-    rows = (runs.starts, runs.ends, runs.first, runs.part, grid.centres_world(runs.low), grid.voxel_size)
+    place = grid.centres_world(runs.low), grid.voxel_size
     ranks = _spread(on_surface, from_surface)
-    _pick(runs.words, interior, False, ranks, rows, points[:from_surface], part[:from_surface])
+    _pick(runs, place, interior, False, ranks, points[:from_surface], part[:from_surface])
     ranks = _spread(inside, from_inside)
-    _pick(runs.words, interior, True, ranks, rows, points[from_surface:], part[from_surface:])
+    _pick(runs, place, interior, True, ranks, points[from_surface:], part[from_surface:])
     return VoxelSamples(points, np.arange(len(points)) < from_surface, part)
 
 
@@ -282,9 +281,9 @@ def _find_interior(words, first):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _pick(words, interior, inside, ranks, run_rows, points, part_of_point):  # type: ignore[no-untyped-def]
+def _pick(runs, place, interior, inside, ranks, points, part_of_point):  # type: ignore[no-untyped-def]
     """Write the centres in the world, and the parts, of the voxels of ascending ranks, inside or on the surface."""
-    starts, ends, first, part, origin, voxel_m = run_rows
+    (words, _, starts, ends, first, part), (origin, voxel_m) = runs, place
     layers, rows, width = words.shape
     n, rank = 0, 0
     for s in range(layers):
