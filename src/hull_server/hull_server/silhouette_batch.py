@@ -11,11 +11,12 @@ import numpy.typing as npt
 
 from capture_rig.kernel import kernel
 
-from .bitset import high_bytes, nonzero_span
+from .bitset import high_bytes, nonzero_bytes, nonzero_span
 from .views import Box
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
-NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
+NOT_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
+EVEN_BYTES = np.uint64(0x00FF00FF00FF00FF)
 
 
 class SilhouetteBatch:
@@ -68,7 +69,7 @@ def _take(mask_words, part, blind_words, level_words, box):  # type: ignore[no-u
     graded = np.uint64(0)
     for v in range(top, bottom):
         graded |= _write_row(mask_words[v, left:right], blind_words[v, left:right], level_words[v, left:right])
-    return graded & NEITHER_SURE_NOR_BLIND != 0
+    return graded & NOT_BLIND != 0
 
 
 @kernel
@@ -100,3 +101,66 @@ def _nonzero_bounds(words):  # type: ignore[no-untyped-def]
             top, bottom = min(top, v), v + 1
             left, right = min(left, first), max(right, last)
     return (left, top, right, bottom) if bottom else (0, 0, 0, 0)
+
+
+# --- summed areas
+
+
+class SummedSquares:
+    """The summed areas of the last silhouette of each camera, inside its box.
+
+    table (N, (H / 2 + 2) * (W / 2 + 1)) : in squares of 2 x 2 pixels, of which foreground counts 2 a pixel, what is
+    uncertain 1 (:data:`.carving.pixel_boxes.ALL_SURE`); from the box's corner, row after row without gaps, which takes
+    a fraction of the memory pages that a canvas would.
+    """
+
+    def __init__(self, seen: npt.NDArray[np.uint8]) -> None:
+        cameras, height, width = seen.shape
+        self.table = np.zeros((cameras, (height // 2 + 2) * (width // 2 + 1)), np.int32)
+        counts, sums = np.empty(width // 8, np.uint64), np.empty(width // 2, np.int32)
+        self._scratch = counts, counts.view(np.uint16), sums
+
+    def fill(self, camera: int, level_words: npt.NDArray[np.uint64], box: npt.NDArray[np.int64]) -> int:
+        """Sum up a camera's levels (H, W / 8) in a box (4,) that holds all they show; return the whole sum."""
+        return int(_sum_squares(level_words, box, self.table[camera], self._scratch))
+
+
+@kernel
+def _sum_squares(level_words, box, table, scratch):  # type: ignore[no-untyped-def]
+    """Write the summed areas of one silhouette. scratch : counts (W / 8,), of squares their quarters (W / 2,), and sums
+    (W / 2,). Returns the last."""
+    counts, square_counts, sums = scratch
+    left, top, right, bottom = box[0] // 8, box[1], box[2] // 8, box[3]
+    width = 4 * (right - left)
+    for u in range(width):
+        sums[u] = 0
+    for u in range(width + 1):
+        table[u] = 0
+    for row in range((bottom - top + 1) // 2):
+        counts[: right - left] = 0
+        for v in range(top + 2 * row, min(top + 2 * row + 2, bottom)):
+            _count_row(level_words[v, left:right], counts)
+        for word in range(right - left):
+            counts[word] = (counts[word] & EVEN_BYTES) + (counts[word] >> np.uint64(8) & EVEN_BYTES)
+        _sum_row(square_counts, sums, table[(row + 1) * (width + 1) : (row + 2) * (width + 1)])
+    return table[(bottom - top + 1) // 2 * (width + 1) + width]
+
+
+@kernel
+def _count_row(level_words, counts):  # type: ignore[no-untyped-def]
+    """Add what each pixel of a part of a row counts."""
+    for word in range(level_words.size):
+        pixels = level_words[word]
+        counts[word] += high_bytes(pixels) + nonzero_bytes(pixels & NOT_BLIND)
+
+
+@kernel
+def _sum_row(row, sums, areas):  # type: ignore[no-untyped-def]
+    """Add a row of squares to the sums of their columns, and write the summed areas down to it."""
+    for u in range(areas.size - 1):
+        sums[u] += row[u]
+    total = np.int32(0)
+    areas[0] = 0
+    for u in range(areas.size - 1):
+        total += sums[u]
+        areas[u + 1] = total

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from ..grid import BrickVolume, VoxelGrid
-from ..silhouette_batch import SilhouetteBatch
+from ..silhouette_batch import SilhouetteBatch, SummedSquares
 from ..views import Boxes, Masks, RigViews
 from .carve_blocks import (
     EVERY_OCTANT,
@@ -31,7 +31,6 @@ from .carve_blocks import (
     voxel_steps,
 )
 from .pixel_boxes import SEEN, UNSEEN, BlockBoxes, block_boxes, foreground_in, pixel_projections, summed_area
-from .silhouette_tables import Scene, SummedSquares
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
@@ -87,6 +86,33 @@ class CpuCarver:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+class Scene(NamedTuple):
+    """The calibration (fixed) and the silhouettes of one frame set.
+
+    projections (N, 3, 4): voxel index to pixel. sizes (N, 2): canvases. seen_table (N, H + 1, W + 1).
+    voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see :mod:`.carve_blocks`.
+    levels (N, H * W + 8): the level of every pixel, and BLIND for all that lies outside.
+    stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
+    foreground_table: the summed areas inside that box, of :class:`SummedSquares`.
+    present (n,): cameras of this frame set, in the order in which they are tested; the result does not depend on it.
+    min_seeing: cameras that must see a voxel. vetoes: how many may veto it nevertheless, 0 or 1. shape (3,): the grid.
+    """
+
+    projections: npt.NDArray[np.float64]
+    voxel_steps: npt.NDArray[np.float64]
+    octant_steps: npt.NDArray[np.float32]
+    sizes: npt.NDArray[np.int64]
+    seen_table: npt.NDArray[np.int32]
+    levels: npt.NDArray[np.uint8]
+    stride: int
+    foreground_box: npt.NDArray[np.int64]
+    foreground_table: npt.NDArray[np.int32]
+    present: npt.NDArray[np.int64]
+    min_seeing: int
+    vetoes: int
+    shape: npt.NDArray[np.int64]
 
 
 class Work(NamedTuple):
