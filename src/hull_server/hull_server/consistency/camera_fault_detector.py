@@ -198,17 +198,8 @@ class _CameraRecord:
 
 def _reason(name: str, mean: CameraResiduals, sound: int) -> str:
     """Say what is wrong with a camera, and what to do; ``sound`` is the number of cameras that are not faulty."""
-    others = f"the other {sound}"
-    if mean.excess > EXCESS_ALLOWANCE:
-        return (
-            f"{name}: {mean.excess:.0%} of its view is foreground that {others} do not confirm: has the light changed, "
-            "is its background old, or is something in front of it?"
-        )
-    if mean.coverage == 0.0:
-        return (
-            f"{name}: its silhouette is empty where {others} see a person: is its lens covered, or its exposure wrong?"
-        )
     return (
-        f"{name} vetoes {mean.veto_fraction:.0%} of the body that {others} agree on: is something in front of it, is "
-        "its background old, was it moved, or are its images frozen?"
+        f"{name} contradicts the other {sound}: it vetoes {mean.veto_fraction:.0%} of the body that they agree on, and "
+        f"{mean.excess:.0%} of its view is foreground that they do not confirm; is its lens covered or something in "
+        "front of it, is its background old, has the light changed, was it moved, or are its images frozen?"
     )
