@@ -135,10 +135,6 @@ class BrickVolume:
         index = self.index.astype(np.int64)
         return np.stack([index % nx, index // nx % ny, index // (nx * ny)], axis=1) * BRICK_EDGE
 
-    def centres_world(self) -> Array:
-        """Return the centres (count, 3) of the occupied voxels, metres, map frame."""
-        return self.grid.centres_world(self.voxels())
-
 
 @kernel
 def _list_voxels(corners, leaves, voxels):  # type: ignore[no-untyped-def]

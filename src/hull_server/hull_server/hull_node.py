@@ -153,11 +153,9 @@ class HullNode(SagomaNode):
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:
             self._supports[report.camera].publish(support_message, report, self.tf_prefix)
-        products = result.products
-        self._thinning.add_handed_over(products.stamp_ns, monotonic_ns())
-        handed_over_ns = self.get_clock().now().nanoseconds
-        ages = SetAges(closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
-        self._products.publish(replace(products, ages=ages), frame_id)
+        products, handed_over_ns = result.products, monotonic_ns()
+        age_ns = self.get_clock().now().nanoseconds - products.stamp_ns
+        self._products.publish(replace(products, ages=SetAges(closed_ns - products.stamp_ns, age_ns)), frame_id)
         for part, publisher in self._clouds.items():
             publisher.publish(packet_cloud, getattr(products, part), products.stamp_ns, frame_id)
         published_ns = self.get_clock().now().nanoseconds
@@ -173,7 +171,7 @@ class HullNode(SagomaNode):
         self.health.tick(frame_set.stamp_ns)
         if self._overload is not None:
             carver_ns = round(1e6 * sum(pending.stage_ms.values()))
-            self._overload.add_finished(frame_set.stamp_ns, carver_ns, monotonic_ns() - taken_ns)
+            self._overload.add_finished(frame_set.stamp_ns, carver_ns, monotonic_ns() - taken_ns, handed_over_ns)
 
     def _describe(self) -> dict[str, object]:
         """The counters, and what the newest set says of the cameras, for the diagnostics."""

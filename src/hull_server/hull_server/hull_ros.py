@@ -139,11 +139,10 @@ class OverloadControl:
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
-    def add_finished(self, stamp_ns: int, carver_ns: int, slicer_ns: int) -> None:
-        """Add what carver and slicer took for a set; any thread."""
+    def add_finished(self, stamp_ns: int, carver_ns: int, slicer_ns: int, handed_over_ns: int) -> None:
+        """Add what carver and slicer took for a set, and when it was published; any thread."""
         now_ns = monotonic_ns()
-        self._control.add_work(0, carver_ns, now_ns)
-        self._control.add_work(1, slicer_ns, now_ns)
+        self._control.add_work(stamp_ns, carver_ns, slicer_ns, handed_over_ns)
         if now_ns - self._answered_ns > NO_TRACKER_NS:
             self._control.add_answer(stamp_ns, now_ns)
 

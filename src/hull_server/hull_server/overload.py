@@ -16,6 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,14 +46,18 @@ OFF_GRID = 0.24  # of a period: stamps farther from the grid (rms; random ones: 
 
 @dataclass
 class SetRecord:
-    """A closed frame set: when it closed, went to the tracker, was answered (monotonic ns); its age when it closed."""
+    """A closed frame set: when it closed, went to the tracker, was answered (monotonic ns; 0: not yet).
+
+    age_ns : when it closed. work_ns : how long carver and slicer worked on it.
+    """
 
     stamp_ns: int
     closed_ns: int
     age_ns: int
     cameras: frozenset[str]
-    handed_over_ns: int | None = None
-    answered_ns: int | None = None
+    work_ns: tuple[int, int] = (0, 0)
+    handed_over_ns: int = 0
+    answered_ns: int = 0
     dropped: bool = False
 
     def delay_ns(self, now_ns: int) -> int:
@@ -77,8 +82,6 @@ class ThinningControl:
         self._published_ns: int | None = None
         self._changed_ns = self._fell_ns = 0
         self._sets: deque[SetRecord] = deque(maxlen=MOST_SETS)
-        self._work: deque[tuple[int, int, int]] = deque(maxlen=MOST_SETS)  # of stages: when, which, for how long
-        self._last_answer_ns = 0
         self._base_ns: float | None = None  # the delay without a queue, and when it was measured
         self._based_ns = 0
         self._settled_ns = 0  # sets of later stamps are processed at the present rate
@@ -119,33 +122,22 @@ class ThinningControl:
             self._stamps.append(stamp_ns)
             self._sets.append(SetRecord(stamp_ns, now_ns, age_ns, frozenset(frames)))
 
-    def add_work(self, stage: int, took_ns: int, now_ns: int) -> None:
-        """Add the time that a stage (0: carver, 1: slicer, -1: tracker) worked on a set."""
-        with self._lock:
-            self._work.append((now_ns, stage, took_ns))
-
-    def add_handed_over(self, stamp_ns: int, now_ns: int) -> None:
-        """Add a set that the tracker has from now on."""
+    def add_work(self, stamp_ns: int, carver_ns: int, slicer_ns: int, handed_over_ns: int) -> None:
+        """Add how long carver and slicer worked on a set, and when the tracker had it."""
         with self._lock:
             for each in self._sets:
                 if each.stamp_ns == stamp_ns:
-                    each.handed_over_ns = now_ns
+                    each.work_ns, each.handed_over_ns = (carver_ns, slicer_ns), handed_over_ns
 
     def add_answer(self, stamp_ns: int, now_ns: int) -> None:
-        """Add the answer to a set, of the tracker or, without one, of the publisher: older sets will have none.
-
-        The tracker was at work since it had the set and had answered the one before.
-        """
+        """Add the answer to a set, of the tracker or, without one, of the publisher: older sets will have none."""
         with self._lock:
             for each in self._sets:
-                if each.answered_ns is None and each.stamp_ns < stamp_ns:
+                if not each.answered_ns and each.stamp_ns < stamp_ns:
                     each.dropped = True
-                elif each.answered_ns is None and each.stamp_ns == stamp_ns:
+                elif not each.answered_ns and each.stamp_ns == stamp_ns:
                     each.answered_ns = now_ns
                     self._update_base(each, now_ns)
-                    if each.handed_over_ns is not None:
-                        self._work.append((now_ns, -1, now_ns - max(each.handed_over_ns, self._last_answer_ns)))
-            self._last_answer_ns = now_ns
 
     def _update_base(self, answered: SetRecord, now_ns: int) -> None:
         if answered.stamp_ns >= self._settled_ns:
@@ -215,8 +207,6 @@ class ThinningControl:
         span_ns = max(NS_PER_S, round(WINDOW_SETS / rate_hz * NS_PER_S))
         while len(self._sets) > 1 and now_ns - self._sets[0].closed_ns > span_ns:
             self._sets.popleft()
-        while self._work and now_ns - self._work[0][0] > NS_PER_S:
-            self._work.popleft()
         base_ns = self._base_ns
         late_ns = (base_ns or 0.0) + max(TARGET_S, 1.0 / rate_hz) * NS_PER_S
         recent = [each for each in self._sets if each.stamp_ns >= self._settled_ns]
@@ -249,11 +239,15 @@ class ThinningControl:
         return self._answered_hz + growth * ((now_ns - self._fell_ns) / NS_PER_S - level_s) ** 3
 
     def _utilisation(self) -> float:
-        """Return the share of the last second that the busiest stage worked; more than 0."""
-        busy_ns = dict.fromkeys((stage for _, stage, _ in self._work), 1)
-        for _, stage, took_ns in self._work:
-            busy_ns[stage] += took_ns
-        return max(busy_ns.values(), default=1) / NS_PER_S
+        """Return the share of its time that the busiest stage worked on the last sets; more than 0.
+
+        The tracker was at work since it had a set and had answered the one before.
+        """
+        busy_ns, span_ns = np.ones(3), 1
+        for before, each in pairwise(each for each in self._sets if each.answered_ns):
+            busy_ns += (*each.work_ns, each.answered_ns - max(each.handed_over_ns, before.answered_ns))
+            span_ns += each.answered_ns - before.answered_ns
+        return float(busy_ns.max()) / span_ns
 
 
 def throughput_hz(sets: Iterable[SetRecord], since_ns: int) -> float:

@@ -155,8 +155,7 @@ class Simulation:
             self._hull.put(each)
 
     def _published(self, each: FrameSet[int], took_ns: int) -> None:
-        self.control.add_work(0, took_ns, self.now_ns)
-        self.control.add_handed_over(each.stamp_ns, self.now_ns)
+        self.control.add_work(each.stamp_ns, took_ns, 0, self.now_ns)
         self._tracker.put(each)
 
     def _answered(self, each: FrameSet[int], _: int) -> None:

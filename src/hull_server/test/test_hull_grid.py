@@ -40,7 +40,7 @@ def test_bricks_voxel_centres_are_those_of_the_occupied_cells():
     grid = VoxelGrid(np.array([1.0, 2.0, 3.0]), 0.1, (12, 9, 17))
     dense = np.zeros(grid.shape, bool)
     dense[11, 8, 16] = dense[0, 0, 0] = dense[3, 8, 2] = True
-    centres = BrickVolume.from_dense(grid, dense).centres_world()
+    centres = grid.centres_world(BrickVolume.from_dense(grid, dense).voxels())
     expected = grid.origin + (np.argwhere(dense) + 0.5) * 0.1
     np.testing.assert_allclose(np.sort(centres, axis=0), np.sort(expected, axis=0))
     assert BrickVolume.from_dense(grid, dense).litres == pytest.approx(3.0)

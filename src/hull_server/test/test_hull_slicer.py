@@ -57,15 +57,6 @@ def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, shar
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
 
 
-def test_blobs_are_ordered_and_repeatable():
-    dense = np.random.default_rng(0).random((40, 30, 20)) < 0.2
-    first, second = slice_hull(volume_of(dense))[0], slice_hull(volume_of(dense))[0]
-    assert as_rows(first).tobytes() == as_rows(second).tobytes()
-    slices = first.centroid[np.arange(len(first.axis)), first.axis]
-    assert (np.diff(first.axis.astype(int)) >= 0).all()
-    assert all((np.diff(slices[first.axis == axis]) >= 0).all() for axis in range(3))
-
-
 def test_blobs_of_an_empty_volume_are_none():
     blobs, runs = slice_hull(volume_of(np.zeros((9, 9, 9), bool)))
     assert len(blobs.axis) == len(runs.starts) == 0

@@ -36,7 +36,7 @@ FULL = 0.97
 
 
 class BlobTable(NamedTuple):
-    """The n blobs of all slices, ordered by axis, slice, and position of their first voxel. Lengths in voxels.
+    """The n blobs of all slices, by axis, in the order of their first voxels. Lengths in voxels.
 
     axis : (n,) uint8, the axis that the slice is perpendicular to: 0 = x, 1 = y, 2 = z.
     area : (n,) voxels in the blob.
@@ -109,33 +109,30 @@ def _slice(index, leaves, bricks_x, bricks_y, step):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def sum_blobs(runs, joined, layers, rows, across_layers, step):  # type: ignore[no-untyped-def]
-    """Sum up the blobs of the slices across one axis, ordered by slice and first voxel.
+    """Sum up the blobs of the slices across one axis, in the order of their first voxels.
 
-    Returns slice (n,), sums of 1, u, v, 6 uu, vv, uv (n, 6), growth (n,) and first voxel as (u, row, layer) (n, 3); u
-    counts along the runs, v across them inside the slice. runs, joined : of ``find_runs`` and ``join_in_slices``.
-    The sums are whole numbers far below 2**53, so float64 holds them exactly.
+    Returns sums of 1, u, v, 6 uu, vv, uv (n, 6), growth (n,) and first voxel as (u, row, layer) (n, 3); u counts along
+    the runs, v across them inside the slice. runs, joined : of ``find_runs`` and ``join_in_slices``. The sums are whole
+    numbers far below 2**53, so float64 holds them exactly.
     """
     starts, ends, first, filled = runs
     labels, forest = joined
     sums, voxel = _sum_labels(starts, ends, first, filled, rows, across_layers, labels, forest.size)
-    for label in range(forest.size - 1, -1, -1):
-        if forest[label] != label:
-            for k in range(6):
-                sums[forest[label], k] += sums[label, k]
-    blob_of_label, count = _order(forest, voxel, 1 if across_layers else 2, rows if across_layers else layers)
-    slices, ordered, corner = np.empty(count, np.int32), np.empty((count, 6)), np.empty((count, 3), np.int32)
-    for label in range(forest.size):
-        blob = blob_of_label[label]
+    blob_of_label, count = np.empty(forest.size, np.int32), 0
+    for label in range(forest.size):  # a root is the smallest label of its tree: what is written was read before
         if forest[label] == label:
-            slices[blob] = voxel[label, 1 if across_layers else 2]
+            blob, count = count, count + 1
             for k in range(6):
-                ordered[blob, k] = sums[label, k]
+                sums[blob, k] = sums[label, k]
             for k in range(3):
-                corner[blob, k] = voxel[label, k]
+                voxel[blob, k] = voxel[label, k]
         else:
-            blob_of_label[label] = blob_of_label[forest[label]]
-    growth = _growth(runs, layers, rows, across_layers, step, slices, ordered, labels, blob_of_label)
-    return slices, ordered, growth, corner
+            blob = blob_of_label[forest[label]]
+            for k in range(6):
+                sums[blob, k] += sums[label, k]
+        blob_of_label[label] = blob
+    blobs = sums[:count], voxel[:count]
+    return sums[:count], _growth(runs, layers, rows, across_layers, step, blobs, labels, blob_of_label), voxel[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -165,32 +162,16 @@ def _sum_labels(starts, ends, first, filled, rows, across_layers, labels, count)
 
 
 @njit(cache=True, nogil=True)
-def _order(forest, voxel, slice_column, slices):  # type: ignore[no-untyped-def]
-    """Sort the roots by slice, then first voxel: the place (n,) of each, and the number of roots."""
-    place = np.zeros(slices + 1, np.int32)
-    for label in range(forest.size):
-        if forest[label] == label:
-            place[voxel[label, slice_column] + 1] += 1
-    for number in range(slices):
-        place[number + 1] += place[number]
-    order = np.full(forest.size, -1, np.int32)
-    for label in range(forest.size):
-        if forest[label] == label:
-            order[label] = place[voxel[label, slice_column]]
-            place[voxel[label, slice_column]] += 1
-    return order, place[slices]
-
-
-@njit(cache=True, nogil=True)
-def _growth(runs, layers, rows, across_layers, step, slices, sums, labels, blob_of_label):  # type: ignore[no-untyped-def]
+def _growth(runs, layers, rows, across_layers, step, blobs, labels, blob_of_label):  # type: ignore[no-untyped-def]
     """Divide the larger of the areas ``step`` slices to either side of the centroid by the blob's own (n,)."""
-    starts, ends, first, _ = runs
-    growth = np.empty(slices.size)
+    (starts, ends, first, _), (sums, voxel) = runs, blobs
+    growth = np.empty(sums.shape[0])
     depth = rows if across_layers else layers
-    for blob in range(slices.size):
+    for blob in range(growth.size):
+        place = voxel[blob, 1 if across_layers else 2]
         u, v = int(sums[blob, 1] / sums[blob, 0] + 0.5), int(sums[blob, 2] / sums[blob, 0] + 0.5)
         largest = 0.0
-        for beyond in (slices[blob] - step, slices[blob] + step):
+        for beyond in (place - step, place + step):
             run = -1
             if 0 <= beyond < depth:
                 line = v * rows + beyond if across_layers else beyond * rows + v
@@ -203,16 +184,17 @@ def _growth(runs, layers, rows, across_layers, step, slices, sums, labels, blob_
 @njit(cache=True, nogil=True)
 def join_tables(across_x, across_y, across_z):  # type: ignore[no-untyped-def]
     """Join the blobs of three axes, of parts yet unknown; also return their first voxels (n, 3) (i, j, k)."""
-    count = across_x[0].size + across_y[0].size + across_z[0].size
+    count = across_x[1].size + across_y[1].size + across_z[1].size
     axis, area, growth, part = np.empty(count, np.uint8), np.empty(count), np.empty(count), np.empty(count, np.int32)
     centroid, covariance, voxel = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3), np.int32)
     row = 0
     for number, along, across, table in ((0, 1, 2, across_x), (1, 0, 2, across_y), (2, 0, 1, across_z)):
-        slices, sums, grown, corner = table
-        for blob in range(slices.size):
+        sums, grown, corner = table
+        for blob in range(grown.size):
             axis[row], area[row], growth[row] = number, sums[blob, 0], grown[blob]
             u, v = sums[blob, 1] / area[row], sums[blob, 2] / area[row]
-            centroid[row, number], centroid[row, along], centroid[row, across] = slices[blob], u, v
+            centroid[row, number], centroid[row, along] = corner[blob, 2 if number == 2 else 1], u
+            centroid[row, across] = v
             covariance[row, 0] = sums[blob, 3] / 6.0 / area[row] - u * u
             covariance[row, 1] = sums[blob, 4] / area[row] - v * v
             covariance[row, 2] = sums[blob, 5] / area[row] - u * v
