@@ -94,18 +94,15 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
 
 def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
     """Say how a camera_info differs from the undistorted canvas of the rig's camera; empty when it does not."""
-    if info.k[0] == 0:  # as CameraInfo says it
-        return "K = 0: its client is not calibrated"
-    if (info.width, info.height) != (canvas.width, canvas.height):
-        size = f"{canvas.width} x {canvas.height}"
-        return f"size {info.width} x {info.height}, but the rig's undistorted canvas is {size}"
-    if any(info.d):
-        return f"distortion {list(info.d)}, but silhouettes must be undistorted"
-    K = np.asarray(info.k).reshape(3, 3)
-    if not np.allclose(K, canvas.K, rtol=0, atol=INTRINSICS_TOLERANCE_PX):
-        given, wanted = (f"fx {M[0, 0]:.3f} fy {M[1, 1]:.3f} cx {M[0, 2]:.3f} cy {M[1, 2]:.3f}" for M in (K, canvas.K))
-        return f"K with {given}, but the rig has {wanted}"
-    return ""
+    K, size, undistorted = np.reshape(info.k, (3, 3)), (info.width, info.height), not any(info.d)
+    same = size == (canvas.width, canvas.height) and np.allclose(K, canvas.K, rtol=0, atol=INTRINSICS_TOLERANCE_PX)
+    if same and undistorted:
+        return ""
+    given, wanted = (
+        f"{width} x {height} px, fx {M[0, 0]:.3f} fy {M[1, 1]:.3f} cx {M[0, 2]:.3f} cy {M[1, 2]:.3f}"
+        for (width, height), M in ((size, K), ((canvas.width, canvas.height), canvas.K))
+    )
+    return f"{given}, distortion {list(info.d)}, but the rig's undistorted canvas has {wanted}"
 
 
 def _row(values: np.ndarray, spec: str) -> str:

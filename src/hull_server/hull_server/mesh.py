@@ -48,7 +48,8 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
     """Extract the surface between occupied and empty voxels, by marching cubes (Lorensen and Cline 1987).
 
     smoothing_voxels : standard deviation of a Gaussian over the occupancy first; 0 leaves the voxels' steps, 1 rounds
-    them off and takes away what is thinner than about two voxels. InputError for an empty hull.
+    them off and takes away what is thinner than about two voxels. InputError for an empty or
+    a vanishing hull.
     """
     if not len(volume.index):
         raise InputError(
@@ -56,10 +57,9 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
             remedy="Ask again when a person stands in the capture volume.",
         )
     occupancy, low = _crop(volume, margin=2 + int(np.ceil(3 * smoothing_voxels)))
-    if smoothing_voxels > 0:
-        occupancy = gaussian_filter(occupancy, smoothing_voxels)
+    occupancy = gaussian_filter(occupancy, smoothing_voxels)
     if occupancy.max() <= SURFACE_LEVEL:
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+        raise InputError("the hull is thinner than the smoothing", remedy="Set mesh.smoothing_voxels to 0.")
     vertices, faces, _, _ = marching_cubes(occupancy, SURFACE_LEVEL, gradient_direction="ascent")
     return Mesh(volume.grid.centres_world(vertices + low), faces.astype(np.int32))
 

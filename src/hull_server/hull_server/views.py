@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig import InputError, Rig
+from capture_rig import InputError, Rig, Volume
 from capture_rig.rig import MAX_CAMERAS
 from capture_rig.visibility import min_seeing as min_seeing
 
@@ -78,6 +78,16 @@ class RigViews:
         for index, view in enumerate(views):
             seen[index, : view.camera.height, : view.camera.width] = np.where(view.seen, 255, 0)
         return cls(rig.names, np.stack([view.camera.P for view in views]), sizes, seen)
+
+    @cached_property
+    def focal_px(self) -> npt.NDArray[np.float64]:
+        """The focal lengths (N,), from the second row of the projections, across the optical axis."""
+        return np.linalg.norm(np.cross(self.P[:, 1, :3], self.P[:, 2, :3]), axis=1)
+
+    def px_per_m(self, volume: Volume) -> npt.NDArray[np.float64]:
+        """Return the scales (N,) in the middle of a volume, at least half a metre away."""
+        middle = np.append((volume.low + volume.high) / 2, 1.0)
+        return self.focal_px / np.maximum(self.P[:, 2] @ middle, 0.5)
 
     def present(self, masks: Masks) -> npt.NDArray[np.int64]:
         """Return the indices (n,) of the cameras that ``masks`` holds, ascending.

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from capture_rig import InputError, Volume
 from hull_server.grid import BrickVolume, VoxelGrid
-from hull_server.mesh import Mesh, surface_mesh, write_ply
+from hull_server.mesh import surface_mesh, write_ply
 from hull_server.views import RigViews
 
 
@@ -99,12 +99,6 @@ def test_ply_read_by_trimesh_holds_the_same_vertices_and_faces(tmp_path):
     np.testing.assert_array_equal(read.vertices, mesh.vertices_world.astype(np.float32))
     np.testing.assert_array_equal(read.faces, mesh.faces)
     assert read.is_watertight and 1e3 * read.volume == pytest.approx(mesh.litres, rel=1e-4)
-
-
-def test_ply_of_a_mesh_without_faces_is_a_header_alone(tmp_path):
-    write_ply(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), tmp_path / "none.ply")
-    header = (tmp_path / "none.ply").read_bytes()
-    assert b"element vertex 0\n" in header and b"element face 0\n" in header and header.endswith(b"end_header\n")
 
 
 def test_ply_that_cannot_be_written_says_where(tmp_path):

@@ -196,12 +196,11 @@ def test_node_drops_and_counts_a_bad_image_and_goes_on(bench, scene):
 @pytest.mark.parametrize(
     ("spoil", "text"),
     [
-        (lambda info: setattr(info, "width", info.width + 32), "the rig's undistorted canvas is"),
-        (lambda info: info.k.__setitem__(0, info.k[0] * 1.01), "K with fx"),
-        (lambda info: setattr(info, "d", [0.1, 0.0, 0.0, 0.0, 0.0]), "must be undistorted"),
-        (lambda info: info.k.__setitem__(0, 0.0), "K = 0: its client is not calibrated"),
+        (lambda info: setattr(info, "width", info.width + 32), " px, fx"),
+        (lambda info: info.k.__setitem__(0, 0.0), "fx 0.000"),
+        (lambda info: setattr(info, "d", [0.1, 0.0, 0.0, 0.0, 0.0]), "distortion [0.1"),
     ],
-    ids=["size", "focal length", "distortion", "uncalibrated"],
+    ids=["size", "uncalibrated", "distortion"],
 )
 def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again(make_bench, scene, spoil, text):
     _, rig, masks = scene

@@ -53,7 +53,8 @@ class SupportReporter:
         seen_table = summed_area(self._cells.seen)
         self._boxes, self._coarse = (block_boxes(self._cells, grid, e, seen_table) for e in (_EDGE, _COARSE_EDGE))
         self._space = _Space.of(grid, rig.volume)
-        self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, ARM_M)) for P in views.P]
+        cells_per_m = (views.px_per_m(rig.volume) / CELL_PX).tolist()
+        self._reaches = [(_disc(MARGIN_M * scale), _disc(ARM_M * scale)) for scale in cells_per_m]
         self._throttle = StampThrottle(SUPPORT_PERIOD_S, early_share=EARLY)
         self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
@@ -272,9 +273,7 @@ def _pool(mask_words, is_used, sent, shown):  # type: ignore[no-untyped-def]
             shown[row, column] = 255 if is_used and sure >= LEAST_PX else 0
 
 
-def _reach_cells(P: npt.NDArray[np.float64], volume: Volume, reach_m: float) -> Cells:
-    """Return the kernel that widens by ``reach_m`` at the distance of the volume's middle, half a metre at least."""
-    depth_m = max(float(P[2] @ np.append((volume.low + volume.high) / 2, 1.0)), 0.5)
-    focal_px = float(np.linalg.norm(np.cross(P[1, :3], P[2, :3])))
-    side = 2 * int(np.ceil(reach_m * focal_px / depth_m / CELL_PX)) + 1
+def _disc(cells: float) -> Cells:
+    """Return the kernel that widens by so many cells."""
+    side = 2 * int(np.ceil(cells)) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)

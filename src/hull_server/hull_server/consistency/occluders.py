@@ -8,8 +8,6 @@ Pollefeys, "3D occlusion inference from silhouette cues", CVPR 2007). Behind it 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -28,13 +26,6 @@ LEAST_CELLS = np.ones((5, 5), np.uint8)  # 0.1 m: along outlines, single voxels 
 LEAST_EXPLAINED = 0.5  # of a camera's foreground: less fits the others' hull where a camera was moved, or sees nobody
 
 
-class Hidden(NamedTuple):
-    """What an occluder hides from a camera: cells (H, W), nonzero where hidden, and the levels (h, w) of its pixels."""
-
-    cells: npt.NDArray[np.uint8]
-    levels: npt.NDArray[np.uint8]
-
-
 class OccluderMap:
     """What stands before each camera of a rig, in the cells of a :class:`ResidualEstimator`. One thread at a time."""
 
@@ -42,7 +33,7 @@ class OccluderMap:
         self._views, self._estimator = views, estimator
         self._hiding_s, self._showing_s = (np.zeros(estimator.cells.shape, np.float32) for _ in range(2))
         self._hiding = np.zeros(estimator.cells.shape[1:], np.uint8)  # scratch memory
-        self._hidden: dict[int, Hidden] = {}  # of the cameras that anything hides from
+        self._hidden: dict[str, npt.NDArray[np.uint8]] = {}  # levels (h, w) of the cameras that anything hides from
 
     def learn(self, residuals: Residuals, step_s: float) -> None:
         """Learn from the residuals of the estimator's last frame set."""
@@ -51,23 +42,17 @@ class OccluderMap:
                 continue
             denied, cells = self._estimator.denied_cells(residuals, slot), self._estimator.cells[camera]
             times = self._hiding_s[camera], self._showing_s[camera]
-            known = self._hidden.pop(camera, None)
-            if not _learn(np.float32(step_s), denied, cells, *times, self._hiding):
-                continue
-            found = np.asarray(cv2.morphologyEx(self._hiding, cv2.MORPH_OPEN, LEAST_CELLS), np.uint8)
-            if known is not None and np.array_equal(known.cells, found):
-                self._hidden[camera] = known
-            elif found.any():
-                self._hidden[camera] = Hidden(found, self._levels(camera, found))
+            self._hidden.pop(self._views.names[camera], None)
+            if _learn(np.float32(step_s), denied, cells, *times, self._hiding):
+                found = np.asarray(cv2.morphologyEx(self._hiding, cv2.MORPH_OPEN, LEAST_CELLS), np.uint8)
+                if found.any():
+                    self._hidden[self._views.names[camera]] = self._levels(camera, found)
 
     def applied(self, masks: Masks) -> dict[str, npt.NDArray[np.uint8]]:
         """Return the masks (h, w) of one instant, uncertain where an occluder hides the background."""
-        found = dict(masks)
-        for camera, hidden in self._hidden.items():
-            name = self._views.names[camera]
-            if name in found:
-                found[name] = np.maximum(found[name], hidden.levels)  # all but background is UNCERTAIN or higher
-        return found
+        hidden = {name: levels for name, levels in self._hidden.items() if name in masks}
+        # all but background is UNCERTAIN or higher
+        return dict(masks) | {name: np.maximum(masks[name], levels) for name, levels in hidden.items()}
 
     def _levels(self, camera: int, cells: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Return UNCERTAIN for the pixels (h, w) of a camera's canvas that lie in cells, and see; else BACKGROUND."""

@@ -99,14 +99,13 @@ class ResidualEstimator:
     def __init__(self, rig: Rig, views: RigViews, voxel_size_m: float, requested_seeing: int = 0) -> None:
         self._requested_seeing = requested_seeing
         self._grid = grid = VoxelGrid.covering(rig.volume, voxel_size_m)
-        px_per_m = _focal_px(views) / _depth_of_middle(views, grid)
         # a cell is about half as large as a voxel in the image
-        self.stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
+        self.stride = max(1, round(float(np.median(views.px_per_m(rig.volume))) * voxel_size_m / 2))
         cells = _decimated(views, self.stride)
         self._unseen = cells.seen == 0
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
         floor_layers = max(0, int(np.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size)))
-        self._views = CellViews(pixel_projections(cells, grid), _focal_px(cells) * grid.voxel_size / 2, floor_layers)
+        self._views = CellViews(pixel_projections(cells, grid), cells.focal_px * grid.voxel_size / 2, floor_layers)
         self._carver, self._names = CpuCarver(cells, grid), views.names
         self.cells = np.full_like(cells.seen, UNCERTAIN)
         self._counts = np.zeros(len(views.names), np.int64)
@@ -180,19 +179,6 @@ class ResidualEstimator:
             explained_share=explained_share,
             unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
         )
-
-
-def _focal_px(views: RigViews) -> Floats:
-    """Return focal lengths (N,) in pixels: the part of a projection's first row across the optical axis."""
-    M = views.P[:, :, :3]
-    along = np.einsum("nk,nk->n", M[:, 0], M[:, 2])
-    return np.sqrt(np.einsum("nk,nk->n", M[:, 0], M[:, 0]) - along**2)
-
-
-def _depth_of_middle(views: RigViews, grid: VoxelGrid) -> Floats:
-    """Return the depth (N,) of the volume's middle in front of each camera, metres; at least half a metre."""
-    middle = np.append(grid.centres_world(np.array(grid.shape) / 2 - 0.5), 1.0)
-    return np.maximum(views.P[:, 2] @ middle, 0.5)
 
 
 def _decimated(views: RigViews, stride: int) -> RigViews:
