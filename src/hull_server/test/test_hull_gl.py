@@ -133,12 +133,6 @@ def test_masks_may_be_reused_after_each_carve_and_sets_with_fewer_bricks_leave_n
         assert carver.carve(few, 3).count == 0
 
 
-def test_carver_that_is_closed_carves_no_more(carver):
-    carver.close()
-    with pytest.raises(NoGraphics, match="closed"):
-        carver.carve(scene()[2][0], 3)
-
-
 def test_device_that_does_not_finish_is_no_graphics_and_may_be_asked_again(carver, monkeypatch):
     _, _, frames = scene()
     with monkeypatch.context() as stuck:
@@ -146,15 +140,6 @@ def test_device_that_does_not_finish_is_no_graphics_and_may_be_asked_again(carve
         with pytest.raises(NoGraphics, match=r"did not finish a carve within 10 s; choose backend 'cpu'"):
             carver.carve(frames[2], 3)
     assert same_bytes(carver.carve(frames[2], 3), expected()[2])
-
-
-def test_carve_of_an_unknown_camera_or_a_wrong_mask_is_refused_and_leaves_the_carver_usable(carver):
-    _, _, frames = scene()
-    with pytest.raises(InputError, match="no camera 'cam77'"):
-        carver.carve(frames[0] | {"cam77": frames[0]["cam01"]}, 3)
-    with pytest.raises(InputError, match="cam01: the mask is"):
-        carver.carve(frames[0] | {"cam01": frames[0]["cam01"][:-1]}, 3)
-    assert same_bytes(carver.carve(frames[1], 3), expected()[1])
 
 
 def test_grid_or_silhouettes_beyond_the_shaders_limits_are_refused_with_the_remedy(monkeypatch):

@@ -99,9 +99,3 @@ def test_ply_read_by_trimesh_holds_the_same_vertices_and_faces(tmp_path):
     np.testing.assert_array_equal(read.vertices, mesh.vertices_world.astype(np.float32))
     np.testing.assert_array_equal(read.faces, mesh.faces)
     assert read.is_watertight and 1e3 * read.volume == pytest.approx(mesh.litres, rel=1e-4)
-
-
-def test_ply_that_cannot_be_written_says_where(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file"):
-        write_ply(surface_mesh(ball()), tmp_path / "file" / "ball.ply")

@@ -169,18 +169,6 @@ def test_node_waits_for_no_frame_that_a_replay_says_there_is_not(bench, scene):
     assert [answer["missing"] for answer in bench.answers(3)] == [rig.names[3], rig.names[3], ""]
 
 
-def test_node_counts_duplicate_stamps_and_stamps_that_go_back(bench, scene):
-    masks = scene[2]
-    bench.send({"cam01": masks["cam01"]}, 1)
-    bench.send({"cam01": masks["cam01"]}, 1)
-    bench.until_values(frames_duplicate="1")
-    bench.send({"cam01": masks["cam01"]}, 0)
-    bench.until_values(frames_backwards="1", frames="3")
-    bench.send({name: masks[name] for name in ("cam02", "cam03", "cam04")}, 1)
-    (values,) = bench.answers(1)
-    assert values["missing"] == "" and to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(1)
-
-
 def test_node_drops_and_counts_a_bad_image_and_goes_on(bench, scene):
     masks = scene[2]
     bad = silhouette_message(masks["cam01"], stamp(0), "cam01")

@@ -28,13 +28,6 @@ def whole_share(answers: list[Answer]) -> float:
     return sum(each.whole for each in answers) / len(answers)
 
 
-def test_graph_that_keeps_up_is_left_alone() -> None:
-    graph = Simulation()
-    answers = graph.run(20)
-    assert graph.fraction == 1.0 and len(graph.rules) == 1  # "every frame", once
-    assert len(answers) > 1190 and all(each.whole for each in answers) and graph.control.summary == ""
-
-
 @pytest.mark.parametrize(("stage", "whole"), [("hull_ms", 0.98), ("tracker_ms", 0.98), ("client_ms", 0.95)])
 def test_twice_the_rate_of_a_stage_is_thinned_to_what_it_holds(stage: str, whole: float) -> None:
     graph = Simulation(**{stage: 1000 / 30})
@@ -103,10 +96,9 @@ def test_rate_does_not_oscillate_where_the_load_stays() -> None:
     assert rate_hz(answers, 60) > 0.85 * 1000 / 26 and p95_ms(answers) < 150
 
 
-@pytest.mark.parametrize("lost", [0.1, 0.16])
-def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload(lost: float) -> None:
+def test_network_that_loses_every_sixth_frame_is_no_overload() -> None:
     """Half the sets of five cameras lack one: as if clients were too slow, until fewer sets change nothing."""
-    graph = Simulation(loss=dict.fromkeys(ALL, lost))
+    graph = Simulation(loss=dict.fromkeys(ALL, 0.16))
     graph.run(30)
     assert len(graph.run(30)) > 0.75 * 30 * 60
 
@@ -114,6 +106,7 @@ def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload
 @pytest.mark.parametrize(
     "trouble",
     [
+        {},
         {"dead": {"cam02"}},
         {"dead": {"cam02", "cam04"}},
         {"half": {"cam03"}},
@@ -122,23 +115,22 @@ def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload
         {"offset_ns": {"cam01": 2 * MS}},
         {"clock_error_ns": 3600 * S},
     ],
-    ids=["a dead camera", "two dead", "half the rate", "a bad cable", "loss everywhere", "apart", "wrong clock"],
+    ids=[
+        "none",
+        "a dead camera",
+        "two dead",
+        "half the rate",
+        "a bad cable",
+        "loss everywhere",
+        "apart",
+        "wrong clock",
+    ],
 )
 def test_trouble_with_cameras_is_no_overload(trouble: dict) -> None:
     graph = Simulation(**trouble)
-    graph.run(12)
-    assert graph.fraction == 1.0
-
-
-def test_camera_that_dies_and_returns_under_overload_changes_little() -> None:
-    graph = Simulation(hull_ms=30.0)
-    graph.run(10)
-    before = graph.fraction
-    graph.dead = {"cam02"}
-    graph.run(5)
-    graph.dead = set()
-    answers = graph.run(10)
-    assert graph.fraction > 0.8 * before and whole_share(answers) > 0.95
+    answers = graph.run(12)
+    assert graph.fraction == 1.0 and len(graph.rules) == 1 and graph.control.summary == ""
+    assert len(answers) > 0.98 * 12 * 60
 
 
 @pytest.mark.parametrize(

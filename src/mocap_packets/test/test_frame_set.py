@@ -60,21 +60,6 @@ def test_sets_never_mix_instants_nor_leave_out_of_order_whatever_arrives(sent, d
     assert collector.counters.restarts == collector.counters.ahead == 0
 
 
-@settings(max_examples=100)
-@given(traffic())
-def test_sets_are_complete_whatever_the_order_when_nothing_is_lost_or_late(sent):
-    cameras, frames = sent
-    stamps = {(camera, instant): stamp for camera, stamp, instant, _ in frames}
-    common = set.intersection(*({k for name, k in stamps if name == camera} for camera in cameras))
-    collector = make_collector(cameras, deadline_ns=100 * PERIOD, max_open=100)
-    sets = []
-    for camera in cameras:  # one camera after the other: the worst order there is
-        for k in sorted(common):
-            sets += collector.add(camera, stamps[camera, k], (camera, k), 0)
-    assert instants_of(sets) == sorted(common)
-    assert all(not each.missing for each in sets)
-
-
 def test_set_closes_with_its_last_frame_cameras_in_name_order():
     collector = make_collector()
     assert collector.add("cam03", EPOCH + 5, ("cam03", 0), 0) == []
@@ -89,8 +74,9 @@ def test_set_waits_for_its_deadline_then_leaves_naming_what_is_missing():
     collector = make_collector()
     collector.add("cam02", EPOCH, ("cam02", 0), 100)
     assert collector.next_deadline_ns() == 100 + DEADLINE
-    assert collector.poll(100 + DEADLINE - 1) == []
-    (closed,) = collector.poll(100 + DEADLINE)
+    collector.deadline_ns *= 2
+    assert collector.poll(100 + 2 * DEADLINE - 1) == []
+    (closed,) = collector.poll(100 + 2 * DEADLINE)
     assert closed.missing == ("cam01", "cam03")
     assert (collector.counters.incomplete, collector.counters.missing) == (1, 2)
     assert collector.next_deadline_ns() is None
@@ -151,15 +137,6 @@ def test_too_many_open_sets_close_the_oldest():
     collector = make_collector(max_open=2, deadline_ns=HOUR)
     assert instants_of(send(collector, range(5), ["cam01"])) == [0, 1, 2]
     assert instants_of(collector.flush()) == [3, 4]
-
-
-def test_deadline_that_is_changed_holds_for_open_sets_and_later_ones():
-    collector = make_collector(deadline_ns=HOUR)
-    send(collector, [0], ["cam01"])
-    collector.deadline_ns = DEADLINE
-    assert collector.next_deadline_ns() == DEADLINE and instants_of(collector.poll(DEADLINE)) == [0]
-    send(collector, [3], ["cam01"])
-    assert collector.next_deadline_ns() == 3 * PERIOD + DEADLINE
 
 
 def test_unknown_camera_is_a_key_error():

@@ -37,19 +37,6 @@ def test_cameras_that_jitter_and_are_apart_by_less_than_half_a_period_keep_the_s
         assert choices == {two_thirds.keeps(stamp(k))}
 
 
-def test_cameras_that_drift_keep_the_same_exposures_while_the_phase_is_told_every_second():
-    drifted_ns = PERIOD_NS * (1 + 200e-6)  # the worst quartz: 200 ppm
-    phase_ns = float(EPOCH_NS)
-    for second in range(100):
-        told = FrameDecimation(0, 0, round(phase_ns), PERIOD_NS, 9, 20)
-        for k in range(60):
-            slow = EPOCH_NS + (60 * second + k) * drifted_ns
-            assert (
-                told.keeps(round(slow)) == told.keeps(round(slow + 2e6)) == told.keeps(round(phase_ns + k * PERIOD_NS))
-            )
-        phase_ns += 60 * drifted_ns
-
-
 @pytest.mark.parametrize(
     ("share", "fraction"),
     [(1.0, (1, 1)), (2.0, (1, 1)), (0.999, (19, 20)), (2 / 3, (2, 3)), (0.46, (5, 11)), (0.0, (1, 20))],
