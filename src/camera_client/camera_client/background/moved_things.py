@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.stamps import NS, StampThrottle
+from capture_rig.stamps import StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import LASTING_S, Image, Mask
@@ -53,7 +53,7 @@ class MovedThings:
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
     likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
-    absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
+    absorbed, reverted : how many times things were.
     dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
     not keep still.
     """
@@ -86,7 +86,6 @@ class MovedThings:
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._since_ns = np.where(self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0, np.int64(1), np.int64(0))
-        self._overflow_ns: int | None = None
         self.dynamic_share = 0.0
         self._static_share = np.zeros(blocks, np.float32)
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
@@ -101,11 +100,6 @@ class MovedThings:
     def share(self) -> float:
         """Share of the picture that is absorbed."""
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
-
-    @property
-    def overflowed(self) -> bool:
-        """Whether more moved in the last seconds than may be absorbed."""
-        return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= STILL_S / NS
 
     @property
     def static(self) -> Blocks:
@@ -262,7 +256,6 @@ class MovedThings:
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= REST_S) & (self._others.body_s <= 0))
         if np.count_nonzero(blocks | (self._since_ns > 0)) > MAJORITY * blocks.size:
-            self._overflow_ns = stamp_ns
             return
         pixels = self._to_pixels(blocks)
         self.mean[pixels], self.replaced[pixels] = image[pixels] / self._brightness, 255
