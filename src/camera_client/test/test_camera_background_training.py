@@ -96,7 +96,7 @@ def test_background_is_saved_with_what_the_camera_told_of_itself(tmp_path):
     loaded = load_background(path).provenance
     assert {key: getattr(loaded, key) for key in about} == about
     assert (loaded.created, loaded.frames) == ("2026-03-01T08:00:00+00:00", 10)
-    assert loaded.verdict.startswith("usable: 10 frames measure the noise to 24 %")
+    assert loaded.verdict.startswith("usable: too few pictures to measure the noise: 10")
 
 
 def test_background_that_cannot_be_saved_is_used_all_the_same(tmp_path):

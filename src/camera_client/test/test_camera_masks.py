@@ -84,7 +84,7 @@ def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
 
 def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
-    raw = majority(background.limits(THESIS).subtract(image))
+    raw = majority(FixedBackground(background, THESIS).distance(image, image))
     scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
     shadow = (ColourShadow if image.ndim == 3 else FloorShadow)(camera).shadow(scene, raw)
     height = len(image)

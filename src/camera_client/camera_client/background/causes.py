@@ -83,7 +83,7 @@ CAUSES = (
         dim_by=(NEVER, 0),
     ),
     cause(
-        "training.few_frames: pictures that tell the noise: {frames}, a single one leaves it assumed",
+        "training.few_frames: too few pictures to measure the noise: {frames}",
         "set background_frames to 100",
         noise_error=(NEVER, 0.1444),
     ),
