@@ -61,12 +61,6 @@ def room_of(scene, colour=False):
     return room, see
 
 
-@pytest.mark.parametrize("colour", [False, True])
-def test_nothing_is_static_in_an_unchanged_room(scene, colour):
-    room, see = room_of(scene, colour)
-    assert see(400) == () and not room.moved.static.any()
-
-
 def walk(scene):
     def change(image, second):
         column = int(80 + 70 * np.sin(second / 3))

@@ -304,16 +304,8 @@ class FixedBackground:
         self._limits, self._mean = model.limits(settings), model.mean
         typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
         channels = 1 if model.mean.ndim == 2 else 3
-        noise = assumed_noise(typical, channels)
-        self.state = BackgroundState(Light.unchanged(channels), noise, noise, Displacement(), 0.0, 0.0)
-
-    @property
-    def light(self) -> Light:
-        return self.state.light
-
-    @property
-    def noise(self) -> Noise:
-        return self.state.noise
+        self.light, self.noise = Light.unchanged(channels), assumed_noise(typical, channels)
+        self.state = BackgroundState(self.light, self.noise, self.noise, Displacement(), 0.0, 0.0)
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Follow nothing."""
