@@ -10,7 +10,7 @@ import pytest
 
 from camera_client.background.adaptive import samples_of
 from camera_client.background.kernels import STEP_PX
-from camera_client.background.moved_evidence import APPLY_AFTER_S, CanvasCells, is_calm_inside, was_taken_away
+from camera_client.background.moved_evidence import APPLY_AFTER_S, SupportHistory, is_calm_inside, was_taken_away
 from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
 from camera_client.background.verdict import find_regions
 from capture_rig.camera import CameraModel
@@ -309,7 +309,7 @@ def test_reports_on_the_canvas_lie_on_the_same_blocks_of_a_distorted_image():
     filled = padded.reshape(height, CELL_PX, width, CELL_PX).mean(axis=(1, 3)) > 127
     cells = np.where(filled, np.uint8(NOBODY), np.uint8(UNJUDGED))
     report = ForegroundSupport.of_canvas(0, "cam01", cells, view.camera.width)
-    levels = CanvasCells(lens, BLOCK_PX).levels(report)
+    levels = SupportHistory(lens, BLOCK_PX, STILL_S).levels(report)
     assert set(LEVELS) >= set(np.unique(levels))
     blocks = levels == NOBODY
     expected = shown.reshape(HEIGHT // 8, 8, WIDTH // 8, 8).mean(axis=(1, 3)) > 127
