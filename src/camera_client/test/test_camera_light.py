@@ -137,17 +137,6 @@ def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost
     assert room.see(0.8).foreground_fraction < 0.001  # the place behind the person dimmed, too
 
 
-def test_thing_put_down_beside_the_person_stays_foreground(scene):
-    room = Room(scene)
-    for _ in range(50):
-        room.see()
-    thing = np.zeros((120, 160), np.uint8)
-    thing[85:110, 100:120] = 255
-    for _ in range(120):
-        silhouette = room.see(1.0, thing)
-    assert iou(silhouette.image_mask, thing) > 0.9
-
-
 def test_same_stamps_give_the_same_masks_and_a_clock_set_back_does_no_harm(scene):
     one, two = Room(scene, colour=True), Room(scene, colour=True)
     for light in np.linspace(1.0, 0.95, 75):

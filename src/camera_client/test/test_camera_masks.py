@@ -149,14 +149,6 @@ def keep(mask, min_area_px=20, near_px=20, max_hole_px=30):
     return keep_people(mask, PeopleRule(min_area_px, near_px, max_hole_px))
 
 
-def test_chain_of_pieces_survives_link_by_link():
-    mask = blank()
-    for x in (50, 80, 110, 140):  # each 18 px from the next, the last far from the largest
-        mask[100:112, x : x + 12] = 255
-    mask[90:130, 10:40] = 255
-    assert np.array_equal(keep(mask), mask)
-
-
 @pytest.mark.parametrize(
     "piece",
     [(slice(40, 50), slice(161, 190)), (slice(60, 64), slice(145, 149))],
