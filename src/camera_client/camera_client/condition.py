@@ -43,10 +43,8 @@ class Condition:
     background_doubtful: float | None = None  # share of the pixels that are white or black
     things_share: float | None = None  # share of the picture where things moved or were taken away: background now
     things_places: str = ""  # where: columns, rows, share
-    things_since_s: float | None = None  # since the last one
     things_absorbed: int | None = None  # how many times things became background ...
     things_given_back: int | None = None  # ... and were as learned again
-    things_endless: bool = False  # more moved than may become background
     restless_foreground: float | None = None  # share that keeps changing where no other camera sees anybody
     unexplained_foreground: float | None = None  # share that is no background, no person and no shadow
     person_faint: float | None = None  # share of the person that differs by less than 4 sigmas from the background
@@ -69,7 +67,8 @@ class Condition:
             figures["light_tint"] = max(abs(gain / mean - 1) for gain in gains)
             figures["light_colours"] = ", ".join(f"{name} {100 * (gain - 1):+.0f} %" for name, gain in named)
         if self.light_gain is not None:
-            figures |= {"light_brighter": self.light_gain - 1, "light_darker": 1 - self.light_gain}
+            figures["light_change"] = self.light_gain - 1
+            figures["light_times"] = max(self.light_gain, 1 / self.light_gain) - 1
         if self.noise_levels is not None:
             figures["noise_times"] = self.noise_levels / (self.noise_learned_levels or self.noise_levels)
         if not self.things_places:
@@ -129,7 +128,7 @@ class ConditionWatch:
         if self._throttle.step_s(stamp_ns) <= 0:
             return None
         state, moved = self._pipeline.background.state, self._pipeline.moved
-        things = {} if moved is None else self._things(stamp_ns)
+        things = {} if moved is None else self._things()
         return Condition(
             light_gain=state.light.brightness,
             light_gains=" ".join(f"{gain:.3f}" for gain in state.light.gain) if len(state.light.gain) > 1 else "",
@@ -171,7 +170,7 @@ class ConditionWatch:
         _spans(self._switches, stamp_ns, switches, RECENT_S)
         return switches - self._switches[0][1]
 
-    def _things(self, stamp_ns: int) -> dict[str, Any]:
+    def _things(self) -> dict[str, Any]:
         """Return the figures of what moved; places are looked for only when something was absorbed or given back."""
         moved = self._pipeline.moved
         assert moved is not None
@@ -181,10 +180,8 @@ class ConditionWatch:
         return {
             "things_share": moved.share,
             "things_places": self._places,
-            "things_since_s": max(stamp_ns - moved.newest_ns, 0) * NS if self._places else None,
             "things_absorbed": moved.absorbed,
             "things_given_back": moved.reverted,
-            "things_endless": moved.overflowed,
             "background_static_foreground": float(moved.static.mean()),
             "background_static_places": describe_regions(find_regions(moved.static, 0.0, moved.block_px), self._shape),
         }

@@ -12,11 +12,11 @@ from enum import IntEnum
 
 from capture_rig.verdict import GOOD, Finding
 
-from .background.causes import OTHER_SETTING, age_h, find_causes, other_setting, worst_first
+from .background.causes import age_h, find_causes, other_setting, worst_first
 from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import LASTING_S, Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
-from .sources.frame_checks import LIGHTS, REMEDIES
+from .sources.frame_checks import REMEDIES
 from .sources.grab_loop import GrabState
 
 CONNECTION_COUNTERS = ("reconnects", "stalls", "control_losses", "failed_attempts")
@@ -79,9 +79,6 @@ def assess(state: CameraState) -> tuple[Level, str]:
         return Level.ERROR, _absence(state.connection)
     if state.moved and state.severe:
         return Level.ERROR, state.moved
-    setting = next((finding.line for finding in state.findings if finding.code in OTHER_SETTING), "")
-    if setting and LIGHTS in state.frame_flags:
-        return Level.WARN, setting
     if state.frame_flags:
         return Level.WARN, "; ".join(f"{flag}: {REMEDIES.get(flag, flag)}" for flag in state.frame_flags)
     bad = state.recent.lost + state.recent.incomplete

@@ -24,7 +24,7 @@ from .movement import CameraMovedDetector, Movement, carry_turn_over, turn_when_
 from .settings import CameraClientSettings
 from .silhouettes.pipeline import Difference, SilhouettePipeline
 from .sources.footage_reader import open_footage
-from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
+from .sources.frame_checks import FrameChecks
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,14 +169,13 @@ class FrameProcessor:
         """Do what the next frames need, as :meth:`run` says: all but the silhouette."""
         tools = self._stages
         canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
-        difference, gain, condition = None, 1.0, None
+        difference, condition, moved = None, None, tools.moved
         if tools.pipeline is not None:
-            difference, gain = tools.pipeline.subtract(frame.image, frame.stamp_ns), tools.pipeline.gain
-        flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
+            difference = tools.pipeline.subtract(frame.image, frame.stamp_ns)
+        flags = tools.checks.check(frame.image, frame.stamp_ns)
         if tools.condition is not None and not flags:
             condition = tools.condition.of_background(frame.stamp_ns)
-        moved = tools.moved
-        if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
+        if moved is not None and not flags:
             moved.update(frame.image, frame.stamp_ns)
         result = FrameResult(canvas, flags, None, None if moved is None else moved.movement)
         return BegunFrame(tools, frame.stamp_ns, result, difference, condition)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from camera_client.background.adaptive import FixedBackground
 from camera_client.background.model import NOISIEST, BackgroundModel, Provenance, load_background, read_background
 from camera_client.background.training import FEWEST_FRAMES, background_of_footage
 from camera_client.settings import BackgroundSettings
@@ -28,9 +29,9 @@ def model_of(mean, sigma):
 
 def foreground_of_every_grey_level(model, settings):
     """(pixels, 256) bool: what the limits say of each pixel at each grey level."""
-    limits = model.limits(settings)
+    background = FixedBackground(model, settings)
     images = [np.full(model.shape, grey, np.uint8) for grey in GREY_LEVELS]
-    return np.stack([limits.subtract(image).reshape(-1) > 0 for image in images], axis=1)
+    return np.stack([background.distance(image, image).reshape(-1) > 0 for image in images], axis=1)
 
 
 def probability(rule, grey, mean, sigma):
@@ -62,7 +63,7 @@ def test_colour_limits_agree_with_the_definition_channel_by_channel(rule):
     settings, image = BackgroundSettings(rule=rule, risk=1e-3), rng.integers(0, 256, (20, 30, 3), dtype=np.uint8)
     image[5:] = np.clip(np.rint(mean + rng.normal(0, 8, mean.shape)), 0, 255)[5:]
     unlikely = probability(rule, image, mean.astype(float), np.maximum(sigma.astype(float), 1.0)) < settings.risk
-    found = model_of(mean, sigma).limits(settings).subtract(image) > 0
+    found = FixedBackground(model_of(mean, sigma), settings).distance(image, image) > 0
     assert np.array_equal(found, unlikely.any(axis=2)) and 0.1 < found.mean() < 0.9
 
 

@@ -118,13 +118,6 @@ def test_empty_room_under_other_light_is_good(scene, factor):
     assert str(verdict_on(again, before)) == "good"
 
 
-def test_every_finding_has_a_code(scene):
-    white = [np.where(np.arange(160) < 10, 255, image).astype(np.uint8) for image in scene.empty(10, noise=9.0)]
-    verdict = verdict_on(scaled(white, 1 + 0.02 * np.random.default_rng(1).normal(size=10)))
-    codes = {finding.code for finding in verdict.findings}
-    assert {"levels.white", "noise.high", "training.few_frames"} <= codes and "" not in codes
-
-
 def test_background_that_was_read_and_never_judged_is_judged_when_it_is_described(scene):
     model = learned([image // 6 for image in scene.empty(60)], "empty.mp4")
     assert describe_background(model).startswith("usable: the image is dim")

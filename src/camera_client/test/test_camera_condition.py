@@ -68,19 +68,19 @@ def test_sound_room_and_a_person_in_it_give_no_finding(scene, colour, others):
 
 
 @pytest.mark.parametrize(
-    "factor, code, text, grade",
+    "factor, text, grade",
     [
-        (1.12, "light.brighter", "the light is 12 % brighter than when the background was learned", GOOD),
-        (0.9, "light.darker", "the light is 10 % darker", GOOD),
-        (1.4, "light.brighter", "40 % brighter", USABLE),
-        (0.7, "light.darker", "30 % darker", USABLE),
+        (1.12, "the light has changed by +12 % since the background was learned", GOOD),
+        (0.9, "by -10 %", GOOD),
+        (1.4, "by +40 %", USABLE),
+        (0.7, "by -30 %", USABLE),
     ],
 )
-def test_light_that_is_followed_is_told_in_percent(scene, factor, code, text, grade):
+def test_light_that_is_followed_is_told_in_percent(scene, factor, text, grade):
     room = Room(scene)
     room.see(3, at(factor))
     (finding,) = (finding for code, finding in room.findings().items() if code.startswith("light"))
-    assert (finding.code, finding.grade) == (code, grade) and text in finding.what
+    assert (finding.code, finding.grade) == ("light.level", grade) and text in finding.what
     assert ("sagoma background" in finding.remedy) == (grade == USABLE)
 
 
@@ -88,7 +88,7 @@ def test_light_of_another_colour_is_told_by_channel(scene):
     room = Room(scene, colour=True)
     room.see(3, at(np.array([0.9, 1.0, 1.1])))
     assert "blue -10 %, green +0 %, red +10 %" in room.findings()["light.colour"].what
-    assert "light.brighter" not in room.findings()
+    assert "light.level" not in room.findings()
 
 
 def test_lamps_that_are_switched_are_told_once_and_as_a_fault_when_it_does_not_end(scene):
@@ -146,7 +146,7 @@ def test_thing_that_became_background_is_told_with_its_place(scene):
     room.see(8, chair, others=NOBODY)
     finding, condition = room.findings()["room.things_moved"], room.processor.condition
     assert finding.grade == GOOD and "lower right at" in finding.what
-    assert condition.things_absorbed == 1 and 0 < condition.things_since_s < 6
+    assert condition.things_absorbed == 1
     assert 30 * 25 < 160 * 120 * condition.things_share < 3 * 30 * 25  # whole blocks of 8 px, and their neighbours
     room.see(4, others=NOBODY)
     assert "room.things_moved" not in room.findings()
@@ -244,17 +244,9 @@ def test_figures_are_keys_of_the_diagnostics_before_and_after_there_is_a_backgro
     assert set(none) < set(values) and values["light_gain"] == pytest.approx(1.0, abs=0.01)
 
 
-def test_same_stamps_give_the_same_figures_and_a_clock_set_back_does_no_harm(scene):
-    one, two = Room(scene), Room(scene)
-    assert one.see(6, chair, others=NOBODY) == two.see(6, chair, others=NOBODY)
-    one.stamp_ns = 0
-    one.see(6)
-    assert one.processor.condition.light_flicker < 0.002
-
-
 def test_findings_survive_their_journey(scene):
     found = find_causes(Condition(light_gain=1.5, noise_levels=8.0, noise_learned_levels=2.0).figures())
-    assert [finding.code for finding in found] == ["light.brighter", "noise.high", "noise.higher"]
+    assert [finding.code for finding in found] == ["light.level", "noise.high", "noise.higher"]
     assert read_findings(findings_text(found)) == found
     assert read_findings("") == read_findings("[3]") == read_findings('[{"grade": "good"}]') == ()
 
@@ -270,12 +262,12 @@ def test_node_says_the_worst_cause_and_publishes_figures_and_findings(bench, ses
     images = [np.clip(np.rint(1.4 * image), 0, 255).astype(np.uint8) for image in scene.empty(25, seed=5)]
     footage = scene.write_video(session.folder / "bright.avi", [scene.with_person(image) for image in images])
     camera = bench(**{**looping, "footage.path": footage}).start()
-    camera.until_said("the light is 40 % brighter than when the background was learned")
+    camera.until_said("the light has changed by +40 % since the background was learned")
     values = camera.values()
     assert float(values["light_gain"]) == pytest.approx(1.4, rel=0.03)
     assert float(values["noise_learned_levels"]) == pytest.approx(1.5, rel=0.15)
-    assert values["things_endless"] == "False" and float(values["unexplained_foreground"]) < 0.005
-    assert "light.brighter" in [finding.code for finding in read_findings(values[FINDINGS_KEY])]
+    assert float(values["unexplained_foreground"]) < 0.005
+    assert "light.level" in [finding.code for finding in read_findings(values[FINDINGS_KEY])]
     assert camera.diagnostics[-1].status[0].level == b"\1" and camera.masks
 
 
@@ -297,7 +289,7 @@ def test_node_refuses_the_background_of_another_camera_until_it_learned_its_own(
     camera.until(lambda: read_findings(camera.values()[FINDINGS_KEY]) == ())
 
 
-def test_background_of_another_camera_is_refused_and_that_of_another_exposure_corrected(scene):
+def test_light_of_another_exposure_is_corrected(scene):
     room = Room(scene)
     room.processor.use_background(learned(scene.empty(60), camera_serial="A", exposure_us="5000"))
     assert room.processor.refuse_unfit_background({"camera_serial": "A", "exposure_us": "9000"}) is None
@@ -306,14 +298,6 @@ def test_background_of_another_camera_is_refused_and_that_of_another_exposure_co
         scene.with_person((room.empty[3] * 0.55).astype(np.uint8)), room.stamp_ns + 10**8
     )
     assert iou(silhouette.image_mask, scene.person_mask()) > 0.93
-    reason = room.processor.refuse_unfit_background({"camera_serial": "B"})
-    assert reason.code == "background.other_camera" and room.processor.refused == reason
-    assert (
-        room.processor.background is None
-        and room.processor.run(Frame(room.empty[0], 10**12, 1, "test")).silhouette is None
-    )
-    room.processor.use_background(learned(scene.empty(60), camera_serial="B"))
-    assert room.processor.refused is None
 
 
 @pytest.mark.slow

@@ -78,17 +78,10 @@ def test_level_and_text_follow_the_state(state, level, text):
     assert got[0] is level and got[1].startswith(text)
 
 
-def test_setting_that_changed_explains_why_the_scene_looks_brighter_and_not_why_it_is_dark():
-    exposure = Finding(USABLE, "the exposure is 8000 us", "set it back", "background.exposure")
-    changed = {**RUNNING, "findings": (OLD, exposure)}
-    assert assess(CameraState(**changed, frame_flags=("lights",)))[1] == "the exposure is 8000 us: set it back"
-    assert assess(CameraState(**changed, frame_flags=("dark",)))[1].startswith("dark: ")
-
-
 def test_flags_of_the_newest_frame_and_mask_are_taken_over():
-    seen = FrameResult(canvas=None, flags=("lights",), silhouette=mask("full"))
+    seen = FrameResult(canvas=None, flags=("dark",), silhouette=mask("full"))
     state = CameraState(GrabState.RUNNING).with_result(seen)
-    assert (state.frame_flags, state.mask_flags) == (("lights",), ("full",))
+    assert (state.frame_flags, state.mask_flags) == (("dark",), ("full",))
 
 
 def test_recent_losses_are_forgotten_after_the_window():

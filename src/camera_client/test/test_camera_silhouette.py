@@ -127,14 +127,6 @@ def test_small_patches_are_shadow_near_large_ones_only():
     assert found[large].all() and found[near].all() and not found[alone].any()
 
 
-def test_shadow_is_looked_for_only_within_the_mask(scene):
-    test = ColourShadow(scene.camera())
-    mask = np.zeros((120, 160), np.uint8)
-    mask[:, :40] = 255
-    found = shadows(test, coloured_scene(50, 0), np.rint(coloured_scene(1, 1)[0] * 0.75).astype(np.uint8), mask)
-    assert found[:, :40].any() and not found[:, 40:].any()
-
-
 def test_black_clothes_before_a_black_background_are_no_shadow(scene):
     test, image = (ColourShadow(scene.camera()), np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8))
     assert not shadows(test, coloured_scene(50, 0, brightness=15.0), image).any()
@@ -187,12 +179,6 @@ def test_shadow_on_the_floor_is_marked_removed_or_kept_and_the_person_stays(scen
     assert (masks["mark"][92:108, 24:64] == SHADOW_CANDIDATE).all()
     assert np.array_equal(masks["mark"] == 255, masks["remove"] == 255)
     assert set(np.unique(masks["keep"])) == set(np.unique(masks["remove"])) == {0, 255}
-
-
-def test_darkening_above_the_horizon_is_no_floor_shadow(scene):
-    test, frame = FloorShadow(scene.camera()), scene.empty(1, seed=7)[0]
-    frame[:60] = np.rint(frame[:60] * 0.65)
-    assert not shadows(test, scene.empty(60), frame)[:60].any()
 
 
 def test_soft_rim_of_a_shadow_is_found_and_not_only_its_core(scene):

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.stamps import NS, StampThrottle
+from capture_rig.stamps import StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import LASTING_S, Image, Mask
@@ -53,7 +53,7 @@ class MovedThings:
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
     likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
-    absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
+    absorbed, reverted : how many times things were.
     dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
     not keep still.
     """
@@ -85,8 +85,7 @@ class MovedThings:
         self._last_ns = 0
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
-        self._since_ns = np.where(self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0, np.int64(1), np.int64(0))
-        self._overflow_ns: int | None = None
+        self._absorbed = self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0
         self.dynamic_share = 0.0
         self._static_share = np.zeros(blocks, np.float32)
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
@@ -103,19 +102,9 @@ class MovedThings:
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
 
     @property
-    def overflowed(self) -> bool:
-        """Whether more moved in the last seconds than may be absorbed."""
-        return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= STILL_S / NS
-
-    @property
     def static(self) -> Blocks:
         """Blocks (h, w), of ``block_px`` pixels of the camera, in which foreground has not moved for STATIC_S."""
         return np.asarray(self._static_share > ALWAYS)
-
-    @property
-    def newest_ns(self) -> int:
-        """Stamp at which the newest thing was absorbed; 0 without one."""
-        return int(self._since_ns.max())
 
     @property
     def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
@@ -195,7 +184,7 @@ class MovedThings:
         self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
-        self._absorb(shown, image, look, stamp_ns)
+        self._absorb(shown, image, look)
         nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
         self.dynamic_share = float((shown & nobody & (self._shown_s >= REST_S)).mean())
 
@@ -216,7 +205,7 @@ class MovedThings:
 
     # --- absorbing
 
-    def _absorb(self, shown: Blocks, image: Image, look: Look, stamp_ns: int) -> None:
+    def _absorb(self, shown: Blocks, image: Image, look: Look) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
         body, unseen, calm = shown & (self._others.body_s > 0), *self._is_unseen(shown)
         if unseen.any():
@@ -224,13 +213,13 @@ class MovedThings:
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
                 nobody = (blob & unseen).sum() >= MAJORITY * blob.sum()
                 if keeps_still and nobody and (blob & body).sum() <= (1 - WHOLE) * blob.sum():
-                    self._take_over(image, blob & unseen, stamp_ns)
+                    self._take_over(image, blob & unseen)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
         if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
             # a person beside the place hides a part of the outline; without her first, then bodies that may be none
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
                 if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, look):
-                    self._take_over(image, blob, stamp_ns)
+                    self._take_over(image, blob)
                     self._gone |= blob
 
     def _is_unseen(self, shown: Blocks) -> tuple[Blocks, Blocks]:
@@ -257,16 +246,15 @@ class MovedThings:
         nobody = (self._others.unseen_s[blob] >= REST_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
-    def _take_over(self, image: Image, blob: Blocks, stamp_ns: int) -> None:
+    def _take_over(self, image: Image, blob: Blocks) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= REST_S) & (self._others.body_s <= 0))
-        if np.count_nonzero(blocks | (self._since_ns > 0)) > MAJORITY * blocks.size:
-            self._overflow_ns = stamp_ns
+        if np.count_nonzero(blocks | self._absorbed) > MAJORITY * blocks.size:
             return
         pixels = self._to_pixels(blocks)
         self.mean[pixels], self.replaced[pixels] = image[pixels] / self._brightness, 255
-        self._since_ns[blocks], self._learned_s[blocks] = stamp_ns, 0.0
+        self._absorbed[blocks], self._learned_s[blocks] = True, 0.0
         self.absorbed += 1
         self._note_change()
 
@@ -278,7 +266,7 @@ class MovedThings:
         unlike_learned : blocks that differ from what was learned. unexplained : those that also differ from what was
         absorbed.
         """
-        absorbed = self._since_ns > 0
+        absorbed = self._absorbed
         matched = absorbed & unlike_learned & ~unexplained
         self._learned_s = np.where(absorbed & ~unlike_learned, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
@@ -287,7 +275,7 @@ class MovedThings:
         self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():
-            self._since_ns[back], self._gone[back] = 0, False
+            self._absorbed[back] = self._gone[back] = False
             self.replaced[self._to_pixels(back)] = 0
             self.reverted += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
             self._note_change()

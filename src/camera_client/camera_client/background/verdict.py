@@ -77,15 +77,9 @@ def _picture_figures(model: BackgroundModel) -> dict[str, Any]:
         "moved_share": sum(region.share for region in moved),
         "moved_places": describe_regions(moved, model.shape),
         "frames": frames,
-        "single": frames == 1,
+        "noise_error": (2 * (frames - 1)) ** -0.5 if frames > 1 else 1.0,
     }
-    if frames > 1:
-        figures |= {
-            "noise_error": (2 * (frames - 1)) ** -0.5,
-            "noise_levels": noise,
-            "noise_lacking": LOW_NOISE - noise,
-        }
-    return figures
+    return figures if frames == 1 else figures | {"noise_levels": noise, "noise_lacking": LOW_NOISE - noise}
 
 
 def _steadiness_figures(brightness: Sequence[float]) -> dict[str, Any]:
