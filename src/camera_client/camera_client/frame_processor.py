@@ -188,7 +188,7 @@ class FrameProcessor:
             return begun.result
         silhouette = tools.pipeline.segment(begun.difference)
         if tools.condition is not None and begun.condition is not None:
-            tools.condition.add(begun.condition, begun.stamp_ns, silhouette)
+            tools.condition.add(begun.condition, begun.stamp_ns)
         return replace(begun.result, silhouette=silhouette)
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:

@@ -72,7 +72,7 @@ def test_lamp_that_lights_a_part_of_the_room_is_taken_up_within_half_a_second(sc
     shine = {"lamp": lambda image: np.where(person > 0, image, np.clip(np.rint(image * lamp), 0, 255)).astype(np.uint8)}
     scores = [iou(room.see(1.0, person, **shine).image_mask, person) for _ in range(5)]
     assert min(scores[1:]) > 0.9
-    assert room.pipeline.background.light.unevenness > 0.05
+    assert room.pipeline.background.light.field.std() > 0.05
 
 
 @pytest.mark.parametrize("light", [0.7, 1.6])

@@ -244,17 +244,6 @@ def test_majority_equals_the_median_of_a_mask(side):
     assert np.array_equal(majority(mask, side), mask if side == 1 else cv2.medianBlur(mask, side))
 
 
-def test_larger_thing_does_not_stand_in_for_the_person():
-    mask, things = np.zeros((2, 120, 160), np.uint8)
-    mask[20:100, 10:70], mask[30:90, 120:140] = 255, 255
-    things[16:104, 8:72] = 255
-    assert keep_people(mask, PeopleRule(20, 5, 10))[60, 30] == 255
-    kept = keep_people(mask, PeopleRule(20, 5, 10), things)
-    assert kept[60, 130] == 255 and not kept[:, :80].any()
-    thing_alone = np.where(things > 0, mask, 0).astype(np.uint8)
-    assert keep_people(thing_alone, PeopleRule(20, 5, 10), things)[60, 30] == 255
-
-
 def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
     locator = ForegroundLocator((40, 64), 10.0, 1)
     locator.dense[:] = 0

@@ -137,14 +137,6 @@ def test_thing_that_nobody_else_sees_is_absorbed_after_three_seconds(colour):
     assert 0 < place.share < 0.06 and room.moved.absorbed == 1
 
 
-def test_thing_is_likely_one_before_it_is_absorbed_and_a_person_never():
-    room = Room()
-    picture = with_person(with_thing(room.background, THING))
-    room.watch(picture, 2.5, level_map(NOBODY, (PERSON, BODY)))
-    assert room.moved.absorbed == 0
-    assert (room.moved.likely[THING] > 0).all() and not room.moved.likely[PERSON].any()
-
-
 @pytest.mark.parametrize("says", [None, UNJUDGED, BODY])
 def test_thing_of_which_the_others_do_not_say_that_nobody_is_there_stays(says):
     room = Room()

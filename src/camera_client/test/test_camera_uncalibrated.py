@@ -74,7 +74,7 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     values = camera.values()
     training = TrainingReport.from_json(values[KEY])
     assert (training.number, training.frames, training.text, training.saved) == (1, 20, answer.message, "")
-    assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "")  # there is no foreground
+    assert (values["background_age_h"], values["things_share"]) == ("0", "")  # there is no foreground
     wanted = lens(scene)
     too_wide = camera_info_message(replace(wanted, width=640), 0, "cam01_optical")
     answer = set_camera_info(camera, too_wide)

@@ -197,7 +197,7 @@ class AdaptiveBackground:
         sure = (self._doubted()[self._sampled[1]] == 0) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
-        found = measured_noise(level, rest[sure])
+        found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
         if found is None:
             return
         found = found.at_least(self._least_noise, float(np.median(level)))

@@ -35,7 +35,6 @@ class Cause:
     code : "ABOUT.CONDITION". words : with figures in braces, shares as percents. figure : the name of the one that is
     judged. limits : beyond which it is worth knowing (GOOD), costs silhouettes (USABLE), makes the background useless
     (REDO); those that are missing are never reached. severe : the remedy from USABLE on, where that is another.
-    unless : code of a cause that says more.
     """
 
     code: str
@@ -44,7 +43,6 @@ class Cause:
     figure: str
     limits: tuple[float, ...]
     severe: str = ""
-    unless: str = ""
 
     def judge(self, figures: Mapping[str, Any]) -> Finding | None:
         """Return the finding; None where the figure is within the limits, or was not measured."""
@@ -56,11 +54,11 @@ class Cause:
         return Finding(GRADES[grade], what, self.severe if self.severe and grade else self.remedy, self.code)
 
 
-def cause(words: str, remedy: str, severe: str = "", unless: str = "", **limits: tuple[float, ...]) -> Cause:
+def cause(words: str, remedy: str, severe: str = "", **limits: tuple[float, ...]) -> Cause:
     """Return a row of the list: "CODE: words", and the limits of the figure that is judged under its name."""
     ((figure, beyond),) = limits.items()
     code, _, words = words.partition(": ")
-    return Cause(code, words, remedy, figure, beyond, severe, unless)
+    return Cause(code, words, remedy, figure, beyond, severe)
 
 
 # Limits: noise_error from the noise of a standard deviation, 1/sqrt(2 (n - 1)) of 25 frames; light_times from
@@ -73,13 +71,11 @@ CAUSES = (
     cause(
         "levels.white: {white_share:.0%} of the image is white",
         "shorten the exposure or lower the gain",
-        unless="levels.black",
         white_share=(NEVER, 0.02, 0.3),
     ),
     cause(
         "levels.dim: the image is dim, {level:.0f} grey levels on the median",
         "lengthen the exposure, open the iris, or add light",
-        unless="levels.black",
         dim_by=(NEVER, 0),
     ),
     cause(
@@ -123,7 +119,6 @@ CAUSES = (
         "room.unexplained: {unexplained_foreground:.1%} of the picture differs from the background and is not the "
         "person",
         f"other people out of the picture; for things that moved {REMEDY}",
-        unless="room.restless",
         unexplained_foreground=(0.005, 0.02),
     ),
     cause(
@@ -131,11 +126,6 @@ CAUSES = (
         "nothing is to be done; when the room is empty, the background may be learned again",
         severe=REMEDY,
         things_share=(0, 0.2),
-    ),
-    cause(
-        "background.static: something has been in the picture for 5 minutes without moving: {background_static_places}",
-        f"take it away, or {REMEDY}",
-        background_static_foreground=(NEVER, 0.01),
     ),
     cause("background.old: the background is {age_h:.0f} h old", REMEDY, age_over_h=(NEVER, 0)),
     # ... its light
@@ -146,25 +136,9 @@ CAUSES = (
         light_times=(0.05, 0.25),
     ),
     cause(
-        "light.colour: the light has another colour than when the background was learned: {light_colours}",
-        "it is followed; switch automatic white balance off",
-        light_tint=(0.05,),
-    ),
-    cause(
-        "light.uneven: the light changed by {light_unevenness:.0%} more in some places than in others",
-        "it is followed as far as it is smooth: a lamp was moved or switched, or the sun came in",
-        light_unevenness=(0.1,),
-    ),
-    cause(
         "light.unsteady: the light changed suddenly {light_switches_recent} times in half a minute",
         "switch automatic exposure off, and lamps with a loose contact; draw the curtains against clouds",
         light_switches_recent=(NEVER, 2),
-    ),
-    cause(
-        "light.switched: the lights were switched just now",
-        "it is followed",
-        unless="light.unsteady",
-        light_switches_recent=(0,),
     ),
     cause(
         "light.flicker: the light flickers by {light_flicker:.1%}",
@@ -172,11 +146,6 @@ CAUSES = (
         light_flicker=(0.01, 0.05),
     ),
     # ... noise, place, and the person
-    cause(
-        "noise.higher: the noise is {noise_levels:.1f} grey levels, {noise_times:.1f} times what was learned",
-        "a higher bit rate, less gain, more light",
-        noise_times=(2.0,),
-    ),
     cause(
         "noise.high: the noise is high, {noise_levels:.1f} grey levels on the median",
         "lower the gain and add light; a higher bit rate; check that the camera stands firm",
@@ -204,20 +173,12 @@ CAUSES = (
         "other clothes, more light, or a cloth of another brightness behind",
         person_faint=(NEVER, 0.25),
     ),
-    cause(
-        "shadow.large: {shadow_share:.0%} of the foreground was taken for shadow, {maybe_shadow:.0%} of the person may "
-        "be",
-        "softer light from more sides, or a paler floor; see whether legs are in the mask (docs/silhouettes.md)",
-        most_shadow=(0.6,),
-    ),
 )
 
 
 def find_causes(figures: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Return what the figures say, the worst first; () when nothing is wrong."""
-    found = [(each, finding) for each in CAUSES if (finding := each.judge(figures)) is not None]
-    codes = {finding.code for _, finding in found}
-    return worst_first(finding for each, finding in found if each.unless not in codes)
+    return worst_first(finding for each in CAUSES if (finding := each.judge(figures)) is not None)
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -10,7 +10,6 @@ Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stam
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import cv2
@@ -35,11 +34,9 @@ STILL_S = (
     LASTING_S  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
 )
 OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
-REST_S = USUAL_S  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
-# also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
+REST_S = USUAL_S  # the picture has come to rest: outlines say enough; also the time constant of the picture that blocks
+# are compared with: slower than sway, faster than daylight
 MOST_BLOBS = 8  # looked at a time: bounds the work
-STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine tenths of the time, is static
-STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
 Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
@@ -52,7 +49,6 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
-    likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
     absorbed, reverted : how many times things were.
     dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
     not keep still.
@@ -71,7 +67,6 @@ class MovedThings:
         self._noise = self._learned_sigma = float(np.median(noise))
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
-        self.likely: Mask | None = None
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.reverted = 0
         self._restart()
@@ -87,7 +82,6 @@ class MovedThings:
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._absorbed = self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0
         self.dynamic_share = 0.0
-        self._static_share = np.zeros(blocks, np.float32)
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
         self._note_change()
         self._samples = 0
@@ -100,11 +94,6 @@ class MovedThings:
     def share(self) -> float:
         """Share of the picture that is absorbed."""
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
-
-    @property
-    def static(self) -> Blocks:
-        """Blocks (h, w), of ``block_px`` pixels of the camera, in which foreground has not moved for STATIC_S."""
-        return np.asarray(self._static_share > ALWAYS)
 
     @property
     def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
@@ -175,13 +164,9 @@ class MovedThings:
         shown = self._blocks_of(unexplained) >= BLOCK_SHARE
         self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
         self._follow(samples, step_s)
-        static = shown & (self._still_s > 0)
-        self._static_share += np.float32(-np.expm1(step_s * STATIC_RATE)) * (static - self._static_share)
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
-        doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= REST_S)
-        self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, image, look)

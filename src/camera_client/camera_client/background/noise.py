@@ -24,6 +24,9 @@ LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs 
 MOST_VARIANCE = (WITHIN_NOISE * NOISIEST) ** 2  # a room that seems noisier must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
+TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # of a normal distribution so much lies within so many; codecs change whole blocks
+TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
+MOST_TAIL = 2.5
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
 
 GREY_POWER = sum(weight**2 for weight in (0.299, 0.587, 0.114))  # of a brightness, by BT.601
@@ -87,18 +90,23 @@ def learned_noise(model: BackgroundModel) -> Noise:
     return Noise(*_fit(level, variance, LEARNED_BINS))
 
 
-def measured_noise(level: Floats, rest: Floats) -> Noise | None:
+def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -> Noise | None:
     """Return the noise in a frame: ``rest`` (n, C) is by how much pixels that show the background differ from it.
 
-    level (n, C) : grey levels of the background. None when there are too few pixels to tell.
+    level (n, C) : grey levels of the background. foreground_known : the pixels are known to show it; if not, the tails
+    are not looked at. None when there are too few pixels to tell.
     """
     if len(level) < 4 * FEW_IN_BIN:
         return None
     channels = level.shape[1]
     noise = Noise(*_fit(level, (HALF_MEDIAN * rest) ** 2, FRAME_BINS))
+    scaled = rest / np.sqrt(noise.variance(level))
+    if foreground_known:
+        beyond = float(np.quantile(np.abs(scaled), TAIL_SHARE, method="nearest")) / TAIL_SIGMAS - TAIL_ALLOWED
+        tail2 = min(max(beyond, 1.0), MOST_TAIL) ** 2
+        noise = Noise(noise.read * tail2, noise.slope * tail2)
     if channels == 1:
         return noise
-    scaled = rest / np.sqrt(noise.variance(level))
     total = np.abs(scaled.sum(axis=1), dtype=np.float32)
     together = (HALF_MEDIAN * float(np.median(total))) ** 2  # channels (1 + (channels - 1) rho)
     rho = (together / channels - 1) / (channels - 1)

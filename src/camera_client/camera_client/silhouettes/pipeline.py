@@ -56,7 +56,7 @@ class Difference:
     image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
     is from the background, change : in whole grey levels of the channel that differs most. spans : of it that is looked
-    at. likely, nobody : ``likely`` and ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
+    at. nobody : ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
     """
 
     stamp_ns: int | None
@@ -71,7 +71,6 @@ class Difference:
     closely: Mask
     change: Mask
     spans: Spans
-    likely: Mask | None
     nobody: npt.NDArray[np.bool_] | None
 
 
@@ -199,9 +198,9 @@ class SilhouettePipeline:
             if self.moved is not None:
                 self.moved.clear_absorbed(image, closely, self.background.light.brightness, box=box)
             scene = Scene(image[box.slices], expected, noise, box.slices)
-        things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
+        nobody = None if self.moved is None else self.moved.seen_by_nobody
         known = stamp_ns, now_ns, shows_scene
-        return Difference(*known, image, samples, distance, noise, box, scene, closely, change, spans, *things)
+        return Difference(*known, image, samples, distance, noise, box, scene, closely, change, spans, nobody)
 
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
@@ -214,7 +213,8 @@ class SilhouettePipeline:
         scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
         raw = self._decide(found, scene)
         shadow = self._shadow.shadow(scene, raw) if self._shadow else np.zeros_like(raw)
-        kept = self._keep_person(cv2.subtract(raw, shadow), found)
+        closed = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, self._closing)
+        kept = keep_people(closed, self._people)
         person, cut = self._trim_outline(kept, found.change)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
         self.parts = Parts(found.closely, raw, kept, shadow, marked)
@@ -268,10 +268,6 @@ class SilhouettePipeline:
             mask = cv2.threshold(found.closely, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
             return majority(mask)
         return self._evidence.decide(found.closely, found.change, scene, found.spans)
-
-    def _keep_person(self, mask: Mask, found: Difference) -> Mask:
-        mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
-        return keep_people(mask, self._people, None if found.likely is None else found.likely[found.box.slices])
 
     def _trim_outline(self, kept: Mask, change: Mask) -> tuple[Mask, Mask]:
         """Return the person, and which pixels of the image around them, where that is finer, are only background."""
