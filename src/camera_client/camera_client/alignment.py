@@ -114,14 +114,15 @@ class PictureAlignment:
 
     def _refine(self, views: Sequence[Picture], levels: Sequence[EdgePoints], start_rad: Array) -> Alignment | None:
         """Gauss-Newton from the coarsest of the ``levels`` to the finest, at last with the places alone that agree."""
-        stages = [(*each, _weights, MOST_STEPS) for each in zip(levels, views, strict=False)]
+        stages = [(points, view, MOST_STEPS) for points, view in zip(levels, views, strict=False)]
         R = rotation_matrix(start_rad)
-        for points, view, weights, steps in [*reversed(stages), (levels[0], views[0], _agree, LAST_STEPS)]:
+        for points, view, steps in [*reversed(stages), (levels[0], views[0], LAST_STEPS)]:
+            weights = _weights if steps == MOST_STEPS else _agree
             for _ in range(steps):
                 residual, seen = self._residual(view, points, R)
                 if np.count_nonzero(seen) < FEW_POINTS / 4:
                     return None
-                weighted = points.slope * (weights(residual, points) * seen)[:, None]
+                weighted = points.slope * np.where(seen, weights(residual, points), 0.0)[:, None]
                 step_rad = np.linalg.lstsq(weighted.T @ points.slope, residual @ weighted, SINGULAR)[0]
                 R = R @ rotation_matrix(-step_rad)
                 if np.abs(step_rad).max() < CONVERGED_RAD * points.scale:

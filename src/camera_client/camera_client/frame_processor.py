@@ -127,26 +127,20 @@ class FrameProcessor:
         self._stages = self._made(camera, self.background)
 
     def use_shape(self, shape: tuple[int, ...]) -> bool:
-        """Take the background that the settings name for images of this shape, unless one of that shape is in use.
+        """Take the background that the settings name, else the one that the last training saved, for images of this
+        shape, unless one of that shape is in use.
 
-        True when the background was replaced. Raises InputError when the file cannot be read or does not fit.
+        True when there is another one now. Raises InputError when the file cannot be read or does not fit.
         """
         if self.background is not None and self.background.shape == shape:
             return False
-        path = self._settings.background
-        self.use_background(read_background(path, shape, self._settings.background_model) if path else None)
+        self.use_background(None)
+        path, saved = self._settings.background, self._settings.background_file
+        if not path and saved and Path(saved).exists():
+            path = saved
+        if path:
+            self.use_background(read_background(path, shape, self._settings.background_model))
         return bool(path)
-
-    def use_saved_background(self, shape: tuple[int, ...]) -> bool:
-        """Take the background that the last training saved, if there is one and the settings name no other.
-
-        True when it is in use now. Raises InputError when it cannot be read or does not fit images of ``shape``.
-        """
-        path = self._settings.background_file
-        if self._settings.background or self.background is not None or not path or not Path(path).exists():
-            return False
-        self.use_background(read_background(path, shape, self._settings.background_model))
-        return True
 
     def check_background_file(self) -> None:
         """Raises InputError when the background that the settings name is not there, whatever the images' shape."""

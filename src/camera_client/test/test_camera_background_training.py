@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import load_background
-from camera_client.background.training import BackgroundTrainer, TrainingReport, TrainingRequest
+from camera_client.background.training import BackgroundTrainer, TrainingReport
 from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 
@@ -20,7 +20,7 @@ def images(count):
 def train(pictures, use=lambda model: model, **request):
     """The report of a training with all of ``pictures``."""
     pictures, trainer = list(pictures), BackgroundTrainer(use)
-    over = trainer.begin(TrainingRequest(len(pictures), "camera x", **request))
+    over = trainer.begin(len(pictures), "camera x", **request)
     for picture in pictures:
         trainer.add(picture)
     return over.result(timeout=0)
@@ -29,7 +29,7 @@ def train(pictures, use=lambda model: model, **request):
 def test_training_takes_the_wanted_frames_and_no_more():
     used = []
     trainer = BackgroundTrainer(lambda model: used.append(model) or model)
-    over = trainer.begin(TrainingRequest(10, "camera x", about={"camera_serial": "S1"}))
+    over = trainer.begin(10, "camera x", about={"camera_serial": "S1"})
     for k, image in enumerate(images(12)):
         assert trainer.busy == (k < 10) != over.done()
         assert trainer.progress == (f"{k}/10" if k < 10 else "")
@@ -44,18 +44,18 @@ def test_training_takes_the_wanted_frames_and_no_more():
 
 def test_second_request_is_refused_while_the_first_is_under_way():
     trainer = BackgroundTrainer(lambda model: model)
-    first = trainer.begin(TrainingRequest(3, "camera"))
+    first = trainer.begin(3, "camera")
     with pytest.raises(InputError, match="learning already"):
-        trainer.begin(TrainingRequest(3, "camera"))
+        trainer.begin(3, "camera")
     for image in images(3):
         trainer.add(image)
-    second = trainer.begin(TrainingRequest(3, "camera"))
+    second = trainer.begin(3, "camera")
     assert trainer.busy and first.result(timeout=0).number == 1 and not second.done()
 
 
 def test_cancelled_training_is_reported_with_the_reason_and_how_far_it_came():
     trainer = BackgroundTrainer(lambda model: model)
-    over = trainer.begin(TrainingRequest(3, "camera"))
+    over = trainer.begin(3, "camera")
     trainer.add(next(images(1)))
     trainer.cancel("the camera was suspended")
     trainer.cancel("once more")

@@ -26,11 +26,14 @@ OLD = Finding(USABLE, "the background is 14 h old", "learn again", "background.o
 FLICKERS = Finding(GOOD, "the light flickers by 1.5 %", "it is followed", "light.flicker")
 RUNNING = {"grab": GrabState.RUNNING, "connection": STREAMING}
 LOSSES = {"recent": FrameStatistics(9, 1, 8), "has_background": False}
-EVERYTHING = {"frame_flags": ("dark",), "mask_flags": ("full",), **LOSSES}
 
 
-def mask(*flags):
-    return Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, flags, 0.125)
+def seen(*flags, mask=()):
+    silhouette = Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, mask, 0.125)
+    return {"result": FrameResult(None, flags, silhouette)}
+
+
+EVERYTHING = {**seen("dark", mask=("full",)), **LOSSES}
 
 
 def linked(state, reason="", **more):
@@ -57,7 +60,7 @@ def linked(state, reason="", **more):
         ),
         (linked("STALLED", "nothing came for 0.5 s"), Level.ERROR, "stalled: nothing came for 0.5 s"),
         (linked("CONTROL_LOST", "taken"), Level.ERROR, "control lost: taken; connecting anew"),
-        ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
+        (seen("frozen"), Level.WARN, f"frozen: {REMEDIES['frozen']}"),
         ({"recent": FrameStatistics(100, 97, 1, 2)}, Level.WARN, "3 of the last 100 frames were lost or incomplete"),
         ({"recent": FrameStatistics(9, 8, 1), "connection": None}, Level.OK, "active"),  # footage has no network
         ({"has_background": False}, Level.WARN, "no background: run sagoma background"),
@@ -66,7 +69,7 @@ def linked(state, reason="", **more):
         ({"findings": (OLD, FLICKERS)}, Level.WARN, "the background is 14 h old: learn again"),
         ({"findings": (FLICKERS,)}, Level.OK, "active"),
         ({"has_background": False, "refused": OLD}, Level.WARN, "the background is 14 h old: learn again"),
-        ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
+        (seen(mask=("empty",)), Level.WARN, "the mask is empty"),
         # the gravest trouble is told alone
         ({**EVERYTHING, **linked("WAITING", "off")}, Level.ERROR, "no camera: off"),
         (EVERYTHING, Level.WARN, "dark: "),
@@ -76,12 +79,6 @@ def linked(state, reason="", **more):
 def test_level_and_text_follow_the_state(state, level, text):
     got = assess(CameraState(**{**RUNNING, **state}))
     assert got[0] is level and got[1].startswith(text)
-
-
-def test_flags_of_the_newest_frame_and_mask_are_taken_over():
-    seen = FrameResult(canvas=None, flags=("dark",), silhouette=mask("full"))
-    state = CameraState(GrabState.RUNNING).with_result(seen)
-    assert (state.frame_flags, state.mask_flags) == (("dark",), ("full",))
 
 
 def test_recent_losses_are_forgotten_after_the_window():
@@ -122,7 +119,7 @@ def test_last_outage_is_told_in_seconds():
 
 def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
     frame = Frame(np.zeros((2, 2), np.uint8), 5, 1, "ptp", uncertainty_ns=1500)
-    values = frame_values(frame, FrameResult(None, (), mask()))
+    values = frame_values(frame, **seen())
     assert values == {
         "stamp_source": "ptp",
         "stamp_uncertainty_us": 1.5,

@@ -206,7 +206,7 @@ def test_diagnostics_tell_of_the_movement_with_a_level_by_its_size(turn_rad, sev
     camera = studio_camera()
     movement = Movement(MovementState.MOVED, np.array([turn_rad, 0, 0]), np.array([0.0, -5.0]), 0.6, severe)
     result = FrameResult(camera, (), movement=movement)
-    told, text = assess(CameraState(GrabState.RUNNING).with_result(result))
+    told, text = assess(CameraState(GrabState.RUNNING, result=result))
     assert told is level and text == movement.describe(camera.name)
     values = frame_values(Frame(picture(), 1, 1, "a test"), result)
     assert values["camera_shift_px"] == 5.0 and values["camera_turn_deg"] == 0.0

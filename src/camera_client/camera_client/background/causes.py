@@ -17,7 +17,6 @@ from typing import Any
 
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 
-from ..gige.features import FLOAT_TOLERANCE
 from .light import MOST_GAIN
 from .model import Provenance
 
@@ -199,9 +198,7 @@ def read_findings(text: str) -> tuple[Finding, ...]:
         return ()
 
 
-# --- where a background comes from: another camera or setting, long ago
-
-UNITS = {"exposure": "us", "gain": ""}
+# --- where a background comes from: another camera or exposure, long ago
 
 
 def age_h(provenance: Provenance, now_s: float) -> float | None:
@@ -227,26 +224,6 @@ def unfit(provenance: Provenance, camera: Mapping[str, str]) -> Finding | None:
         what = f"the exposure is {now:g} us, the background was learned at {then:g} us: that cannot be corrected"
         return Finding(REDO, what, f"{REMEDY}, or set the exposure back", "background.other_exposure")
     return None
-
-
-def other_setting(provenance: Provenance, camera: Mapping[str, str], corrected: float | None) -> tuple[Finding, ...]:
-    """Return the settings that the background was not learned at; what is unknown of either is not compared.
-
-    camera : the details of the connected source. corrected : by which factor the light is followed now; None where it
-    is not followed.
-    """
-    found = []
-    for name, unit in UNITS.items():
-        key = f"{name}_{unit}".rstrip("_")
-        then, now = getattr(provenance, key), camera.get(key, "")
-        off, size = abs(_number(now) - _number(then)), max(abs(_number(now)), abs(_number(then)), 1.0)
-        if not then or not now or then == now or off <= FLOAT_TOLERANCE * size:
-            continue
-        what = f"the {name} is {now} {unit}".rstrip() + f", the background was learned at {then} {unit}".rstrip()
-        if corrected is not None:
-            what += f" (corrected by x {corrected:.2f})"
-        found.append(Finding(USABLE, what, f"{REMEDY}, or set the {name} back", f"background.{name}"))
-    return tuple(found)
 
 
 def _number(text: str) -> float:

@@ -165,9 +165,9 @@ class SilhouettePipeline:
     def subtract(self, image: Image, stamp_ns: int | None = None) -> Difference:
         """Begin a frame, as :meth:`run` says: follow the background, find where the image differs from it."""
         if image.shape != self._frame_shape or image.dtype != np.uint8:
-            expected = shape_text(self._frame_shape)
             raise InputError(
-                f"an image of {shape_text(image.shape)} {image.dtype} came, expected {expected} uint8",
+                f"an image of {shape_text(image.shape)} {image.dtype} came, "
+                f"expected {shape_text(self._frame_shape)} uint8",
                 remedy="The camera's region or pixel format has changed; configure again.",
             )
         self._untimed_ns += round(1e9 / UNTIMED_HZ)
