@@ -39,7 +39,6 @@ class Condition:
     things_places: str = ""  # where: columns, rows, share
     things_absorbed: int | None = None  # how many times things became background ...
     things_given_back: int | None = None  # ... and were as learned again
-    restless_foreground: float | None = None  # share that keeps changing where no other camera sees anybody
     unexplained_foreground: float | None = None  # share that is no background, no person and no shadow
     person_faint: float | None = None  # share of the person that differs by less than 4 sigmas from the background
 
@@ -98,16 +97,12 @@ class ConditionWatch:
             if self._pipeline.measures_distance and pixels >= PERSON * self._pipeline.looked_at_px:
                 near = cv2.threshold(parts.distance, self._faint_below, 255, cv2.THRESH_BINARY_INV)[1]
                 faint = cv2.countNonZero(cv2.bitwise_and(near, parts.person)) / pixels
-        now = background.restless_foreground or 0.0, unexplained / self._pipeline.looked_at_px, faint or 0.0
+        now = unexplained / self._pipeline.looked_at_px, faint or 0.0
         # the least of each in the last LASTING_S counts, 0 while that is not over
         lasts = _spans(self._lasting, stamp_ns, now, LASTING_S)
-        shares = [min(each) if lasts else 0.0 for each in zip(*(shares for _, shares in self._lasting), strict=True)]
-        self.found = replace(
-            background,
-            restless_foreground=shares[0],
-            unexplained_foreground=shares[1],
-            person_faint=None if faint is None else shares[2],
-        )
+        least = [min(each) if lasts else 0.0 for each in zip(*(shares for _, shares in self._lasting), strict=True)]
+        faint = None if faint is None else least[1]
+        self.found = replace(background, unexplained_foreground=least[0], person_faint=faint)
 
     def _things(self) -> dict[str, Any]:
         """Return the figures of what moved; places are looked for only when something was absorbed or given back."""
@@ -122,7 +117,6 @@ class ConditionWatch:
             "things_places": self._places,
             "things_absorbed": moved.absorbed,
             "things_given_back": moved.reverted,
-            "restless_foreground": moved.dynamic_share,
         }
 
 

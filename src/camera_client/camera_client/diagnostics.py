@@ -67,10 +67,10 @@ def assess(state: CameraState) -> tuple[Level, str]:
         return Level.OK, f"{text} after {state.frames} frames" if state.frames else text
     if state.connection is not None and state.connection.state is not ConnectionState.STREAMING:
         return Level.ERROR, _absence(state.connection)
-    result, moved = state.result, ""
+    result = state.result
     if result.movement is not None and result.canvas is not None:
         moved = result.movement.describe(result.canvas.name)
-        if moved and result.movement.severe:
+        if moved:
             return Level.ERROR, moved
     if result.flags:
         return Level.WARN, "; ".join(f"{flag}: {REMEDIES[flag]}" for flag in result.flags)
@@ -81,8 +81,6 @@ def assess(state: CameraState) -> tuple[Level, str]:
         return Level.WARN, UNCALIBRATED
     if not state.has_background:
         return Level.WARN, NO_BACKGROUND if state.refused is None else state.refused.line
-    if moved:
-        return Level.WARN, moved
     if state.findings and state.findings[0].grade != GOOD:
         return Level.WARN, state.findings[0].line
     if not state.placed:
@@ -102,20 +100,14 @@ def _absence(connection: Connection) -> str:
     return f"{what}: {connection.reason or 'not connected yet'} ({when}{since})"
 
 
-def connection_values(connection: Connection) -> dict[str, object]:
-    """Return how the connection stands, how long it was away, and how the last outage went."""
-    values: dict[str, object] = {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
-    if connection.last_outage_s is not None:
-        values["last_outage_s"] = round(connection.last_outage_s, 3)
-    return values
-
-
 def source_values(source: FrameSource) -> dict[str, object]:
     """Return all figures of a source: details, counters, connection, frames; what a live one counts is there from 0."""
-    connection = source.connection
-    counted: dict[str, object] = {**source.counters}
+    connection, counted = source.connection, dict[str, object](source.counters)
     if connection is not None:
-        counted = {**dict.fromkeys(CONNECTION_COUNTERS, 0), **counted, **connection_values(connection)}
+        counted = dict.fromkeys(CONNECTION_COUNTERS, 0) | counted
+        counted |= {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
+        if connection.last_outage_s is not None:
+            counted["last_outage_s"] = round(connection.last_outage_s, 3)
     return {**source.details, **counted, **source.statistics.counts()}
 
 

@@ -29,7 +29,6 @@ MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on 
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = MIN_AGREEMENT / 2  # when fewer agree on anything for LASTING_S, the picture is another one; a search, which
 # costs as much as ten comparisons, is not made more often
-SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
 
 
 class MovementState(Enum):
@@ -47,15 +46,13 @@ class Movement:
 
     turn_rad (3,) : rotation vector of the camera in its own frame (x right, y down, z forward), radians; a push aside
     shows as the turn that has nearly the same effect. shift_px (2,) : how far the middle of the picture moved, right
-    and down. agreeing : share of the background's edges that confirm it, beyond chance. severe : its silhouettes are of
-    no use any more.
+    and down. agreeing : share of the background's edges that confirm it, beyond chance.
     """
 
     state: MovementState = MovementState.UNKNOWN
     turn_rad: Array = field(default_factory=lambda: np.zeros(3))
     shift_px: Array = field(default_factory=lambda: np.zeros(2))
     agreeing: float = 0.0
-    severe: bool = False
 
     @property
     def turned_deg(self) -> float:
@@ -141,7 +138,7 @@ class CameraMovedDetector:
         self._unlike_s = self._unlike_s + step_s if found is None or found.agreeing < LOST else 0.0
         if self._unlike_s >= LASTING_S:
             self._samples.clear()
-            self.movement = Movement(MovementState.LOST, severe=True)
+            self.movement = Movement(MovementState.LOST)
         return self.movement
 
     def _measured(self) -> Movement:
@@ -159,7 +156,6 @@ class CameraMovedDetector:
             turn_rad=total_rad,
             shift_px=self._focal_px * np.array([total_rad[1], -total_rad[0]]),
             agreeing=float(np.median([sample.agreeing for sample in self._samples])),
-            severe=bool(np.linalg.norm(total_rad) > SEVERE_FACTOR * limit_rad),
         )
 
 

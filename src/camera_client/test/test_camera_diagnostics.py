@@ -5,15 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camera_client.diagnostics import (
-    CameraState,
-    Level,
-    RecentStatistics,
-    assess,
-    connection_values,
-    frame_values,
-    source_values,
-)
+from camera_client.diagnostics import CameraState, Level, RecentStatistics, assess, frame_values, source_values
 from camera_client.frame_processor import FrameResult
 from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics
 from camera_client.sources.frame_checks import REMEDIES
@@ -102,19 +94,14 @@ def source(connection=None):
 
 
 def test_figures_of_a_live_source_are_there_before_anything_happened():
-    values = source_values(source(Connection(ConnectionState.STREAMING, downtime_s=1.234)))
+    values = source_values(source(Connection(ConnectionState.STREAMING, downtime_s=1.234, last_outage_s=1.2346)))
     assert values["expected"] == values["delivered"] + values["incomplete"] + values["lost"] == 10
     assert (values["repeated"], values["stalls"], values["reconnects"], values["downtime_s"]) == (3, 4, 0, 1.23)
-    assert values["camera_serial"] == "S" and values["link"] == "streaming"
+    assert (values["camera_serial"], values["link"], values["last_outage_s"]) == ("S", "streaming", 1.235)
 
 
 def test_figures_of_footage_tell_nothing_of_a_connection():
     assert not {"reconnects", "link", "downtime_s"} & set(source_values(source()))
-
-
-def test_last_outage_is_told_in_seconds():
-    values = connection_values(Connection(ConnectionState.STREAMING, last_outage_s=3.25))
-    assert values["last_outage_s"] == 3.25
 
 
 def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():

@@ -8,10 +8,9 @@ from camera_pictures import change_of
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.background.noise import assumed_noise
 from camera_client.settings import SilhouetteSettings
-from camera_client.silhouettes.attenuation import AttenuationMarker
 from camera_client.silhouettes.masks import Box, trim_outline
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from camera_client.silhouettes.shadows import Scene
+from camera_client.silhouettes.shadows import AttenuationMarker, Scene
 from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, candidate_level
 
 ALL = Box(0, 0, 120, 160)

@@ -62,7 +62,7 @@ def cause(words: str, remedy: str, severe: str = "", **limits: tuple[float, ...]
 
 # Limits: noise_error from the noise of a standard deviation, 1/sqrt(2 (n - 1)) of 25 frames; light_times from
 # what is exposed to 200 of 255 grey levels and turns white; displacement_px from an edge of 50 grey levels;
-# unexplained_foreground, restless_foreground from a person's share of the picture; turn_deg as camera_moved.limit_deg;
+# unexplained_foreground from a person's share of the picture; turn_deg as camera_moved.limit_deg;
 # else chosen with the rooms of test_camera_background_verdict.py, test_camera_condition.py.
 CAUSES = (
     # a background that was learned
@@ -110,14 +110,9 @@ CAUSES = (
     ),
     # a background in use: the room
     cause(
-        "room.restless: {restless_foreground:.1%} of the picture keeps changing where no other camera sees anybody",
-        "switch screens and fans off, draw curtains, close doors, or turn the camera: it is never learned",
-        restless_foreground=(NEVER, 0.005),
-    ),
-    cause(
         "room.unexplained: {unexplained_foreground:.1%} of the picture differs from the background and is not the "
         "person",
-        f"other people out of the picture; for things that moved {REMEDY}",
+        f"switch screens and fans off; other people out of the picture; for things that moved {REMEDY}",
         unexplained_foreground=(0.005, 0.02),
     ),
     cause(

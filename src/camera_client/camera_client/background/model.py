@@ -104,7 +104,11 @@ class BackgroundModel:
         The rule "adaptive" judges distances, not levels; its limits here are those of "tail".
         """
         mean, sigma = self.mean.astype(float), np.maximum(self.sigma.astype(float), settings.sigma_floor)
-        return whole_limits(mean, half_width(sigma, settings.rule, settings.risk))
+        half = half_width(sigma, settings.rule, settings.risk)
+        lo, hi = np.ceil(mean - half), np.floor(mean + half)
+        never = (half < 0) | (lo > hi)
+        lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
+        return lo.astype(np.uint8), hi.astype(np.uint8)
 
     def save(self, path: str | Path) -> None:
         """Write an .npz with the arrays and the provenance. Raises InputError when the file cannot be written."""
@@ -178,14 +182,6 @@ def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.ND
         return sigma * -NormalDist().inv_cdf(risk / 2)
     log_ratio = np.log(risk * sigma * SQRT_2_PI)
     return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
-
-
-def whole_limits(mean: npt.NDArray, half: npt.NDArray) -> tuple[Image, Image]:
-    """Lowest and highest whole grey level (uint8) within ``half`` of ``mean``; 255 and 0 where there is none."""
-    lo, hi = np.ceil(mean - half), np.floor(mean + half)
-    never = (half < 0) | (lo > hi)
-    lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
-    return lo.astype(np.uint8), hi.astype(np.uint8)
 
 
 def load_background(path: str | Path) -> BackgroundModel:

@@ -30,9 +30,7 @@ SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-STILL_S = (
-    LASTING_S  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
-)
+STILL_S = LASTING_S  # nobody sees it, and it keeps still, so long: it is a thing; as learned so long: it is none
 OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
 REST_S = USUAL_S  # the picture has come to rest: outlines say enough; also the time constant of the picture that blocks
 # are compared with: slower than sway, faster than daylight
@@ -50,8 +48,6 @@ class MovedThings:
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
     absorbed, reverted : how many times things were.
-    dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
-    not keep still.
     """
 
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32], scale: int = 1) -> None:
@@ -81,7 +77,6 @@ class MovedThings:
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._absorbed = self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0
-        self.dynamic_share = 0.0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
         self._note_change()
         self._samples = 0
@@ -170,8 +165,6 @@ class MovedThings:
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, image, look)
-        nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
-        self.dynamic_share = float((shown & nobody & (self._shown_s >= REST_S)).mean())
 
     # --- what keeps still
 
@@ -192,7 +185,9 @@ class MovedThings:
 
     def _absorb(self, shown: Blocks, image: Image, look: Look) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
-        body, unseen, calm = shown & (self._others.body_s > 0), *self._is_unseen(shown)
+        rest_s = np.where(self._others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
+        calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
+        body, unseen = shown & (self._others.body_s > 0), calm & (self._others.unseen_s >= STILL_S)
         if unseen.any():
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
@@ -207,21 +202,13 @@ class MovedThings:
                     self._take_over(image, blob)
                     self._gone |= blob
 
-    def _is_unseen(self, shown: Blocks) -> tuple[Blocks, Blocks]:
-        """Return the blocks whose foreground nobody else has seen for long enough, and all those that kept still."""
-        rest_s = np.where(self._others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
-        calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
-        return calm & (self._others.unseen_s >= STILL_S), calm
-
     def _was_taken_away(self, blob: Blocks, whole: Image, look: Look) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
-        x, y, width, height = cv2.boundingRect(cv2.dilate(blob.astype(np.uint8), np.ones((5, 5), np.uint8)))
-        top, left = y * BLOCK_PX, x * BLOCK_PX
-        bottom, right = (
-            min((k + n) * BLOCK_PX, most) for k, n, most in zip((y, x), (height, width), self._shape, strict=True)
-        )
+        wide, beside = (cv2.dilate(blob.astype(np.uint8), np.ones((side, side), np.uint8)) for side in (5, 3))
+        left, top, width, height = cv2.boundingRect(self._to_pixels(wide))
+        bottom, right = top + height, left + width
         part = slice(top, bottom), slice(left, right)
-        near = self._to_pixels(cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[part]
+        near = self._to_pixels(beside)[part] > 0
         background, foreground = look(whole, (top, left, bottom, right))
         image = whole[part]
         self.clear_absorbed(whole, foreground, self._brightness, box=(top, left, bottom, right))

@@ -34,11 +34,10 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
-from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
-from .shadows import HALVED_NOISE, ColourShadow, FloorShadow, Scene, enlarged
+from .shadows import ALIGNMENT_PX, HALVED_NOISE, AttenuationMarker, ColourShadow, FloorShadow, Scene, enlarged
 from .texture import halve
 
 EMPTY, FULL = "empty", "full"
