@@ -213,13 +213,6 @@ def test_door_closed_again_is_background_at_once_and_open_again_is_absorbed_agai
     assert share(room.watch(opened, 5, NOBODY), DOOR) < 0.01
 
 
-def test_door_that_moves_on_is_absorbed_where_it_comes_to_rest():
-    room = Room()
-    ajar, wide = ((slice(40, 160), slice(left, 300)) for left in (250, 210))
-    room.watch(with_thing(room.background, ajar, 170.0), 5, NOBODY)
-    assert share(room.watch(with_thing(room.background, wide, 150.0), 6, NOBODY), wide) < 0.01
-
-
 # --- things taken away
 
 
