@@ -111,8 +111,8 @@ def test_every_topic_of_the_graph_stands_in_its_table_with_its_type_and_whether_
 def test_every_cause_of_a_bad_silhouette_that_the_page_names_is_one_that_a_client_finds():
     section = (DOCS / "silhouettes.md").read_text(encoding="utf-8").partition("## Causes of bad silhouettes")[2]
     named = {code for row in re.findall(r"^\| (`.+?) \|", section, re.M) for code in re.findall(r"`(\w+\.\w+)`", row)}
-    assert len(named) > 15
-    assert named - {cause.code for cause in CAUSES} == {"background.exposure", "background.gain"}  # of the camera
+    assert len(named) > 10
+    assert named <= {cause.code for cause in CAUSES}
 
 
 # --- licences: docs/dependencies.md against requirements.txt

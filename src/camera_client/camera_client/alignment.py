@@ -12,7 +12,7 @@ camera has not moved (here 0.01 to 0.04 px), on recorded and rendered sessions.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -35,11 +35,9 @@ SCALE_QUANTILE, SCALE_QUANTILE_SIGMAS = 0.3, 0.385  # the typical residual's: mo
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this, and a place agrees
 FEW_POINTS, FEW_CELLS = 60, 12
 WELL_KNOWN = 0.5  # when so many agree there is no need to search
-BY_CHANCE = 0.5  # a place that agrees as often as this with turns that are wrong is not used
 SINGULAR = np.sqrt(np.finfo(float).eps)  # half of the digits are left
+BY_CHANCE = 0.5  # a place that agrees as often as this with turns that are wrong is not used
 WRONG_TURNS_RAD = np.radians([(a, b, c) for a in (-5, 0, 4) for b in (-4, 0, 5) for c in (-2, 1) if a or b])
-
-Weights = Callable[[Array, "EdgePoints"], npt.NDArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +63,8 @@ class PictureAlignment:
         ``sigma`` : noise of a frame's pixel, grey levels."""
         camera = of_shape(camera, mean.shape)
         self._K, self._D, self._reach = camera.K, camera.D, lens.reach_radius(camera.D)
-        self._levels = choose_edge_points(camera, mean, sigma)
-        self._chance = self._agree_by_chance(contrast_pyramid(mean)[0])
+        self._levels, self._views = choose_edge_points(camera, mean, sigma), contrast_pyramid(mean)
+        self._chance = self._agree_by_chance(self._views[0])
 
     @property
     def has_enough_edges(self) -> bool:
@@ -97,7 +95,7 @@ class PictureAlignment:
         levels = self._levels[:1] if search else self._levels
         best = self._refine(views, levels, np.zeros(3) if start_rad is None else start_rad)
         if search and (best is None or best.agreeing < WELL_KNOWN):
-            for guess_rad in coarse_guesses(self._levels[-1], views[-1], float(self._K[0, 0])):
+            for guess_rad in coarse_guesses(self._views[-1], views[-1], self._K[0, 0] / self._levels[-1].scale):
                 other = self._refine(views, self._levels, guess_rad)
                 if other is not None and (best is None or other.agreeing > best.agreeing):
                     best = other
@@ -116,30 +114,20 @@ class PictureAlignment:
 
     def _refine(self, views: Sequence[Picture], levels: Sequence[EdgePoints], start_rad: Array) -> Alignment | None:
         """Gauss-Newton from the coarsest of the ``levels`` to the finest, at last with the places alone that agree."""
-        R: Array | None = rotation_matrix(start_rad)
-        for points, view in reversed(list(zip(levels, views, strict=False))):
-            R = None if R is None else self._iterate(view, points, R, MOST_STEPS, _weights)
-        R = None if R is None else self._iterate(views[0], levels[0], R, LAST_STEPS, _agree)
-        return None if R is None else self._measure(views[0], R)
-
-    def _iterate(self, view: Picture, points: EdgePoints, R: Array, steps: int, weights: Weights) -> Array | None:
-        """Take steps until the turn R moves no more."""
-        for _ in range(steps):
-            step = self._step(view, points, R, weights)
-            if step is None:
-                return None
-            R = R @ rotation_matrix(-step)
-            if np.abs(step).max() < CONVERGED_RAD * points.scale:
-                break
-        return R
-
-    def _step(self, view: Picture, points: EdgePoints, R: Array, weights: Weights) -> Array | None:
-        residual, seen = self._residual(view, points, R)
-        weighted = points.slope * (weights(residual, points) * seen)[:, None]
-        H = weighted.T @ points.slope
-        if np.count_nonzero(seen) < FEW_POINTS / 4 or not _invertible(H):
-            return None
-        return np.linalg.solve(H, residual @ weighted)
+        stages = [(points, view, MOST_STEPS) for points, view in zip(levels, views, strict=False)]
+        R = rotation_matrix(start_rad)
+        for points, view, steps in [*reversed(stages), (levels[0], views[0], LAST_STEPS)]:
+            weights = _weights if steps == MOST_STEPS else _agree
+            for _ in range(steps):
+                residual, seen = self._residual(view, points, R)
+                if np.count_nonzero(seen) < FEW_POINTS / 4:
+                    return None
+                weighted = points.slope * np.where(seen, weights(residual, points), 0.0)[:, None]
+                step_rad = np.linalg.lstsq(weighted.T @ points.slope, residual @ weighted, SINGULAR)[0]
+                R = R @ rotation_matrix(-step_rad)
+                if np.abs(step_rad).max() < CONVERGED_RAD * points.scale:
+                    break
+        return self._measure(views[0], R)
 
     def _residual(self, view: Picture, points: EdgePoints, R: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """(n,) how much more contrast the view has where the turn R puts each place, and which places are in view."""
@@ -180,51 +168,28 @@ def _weights(residual: Array, points: EdgePoints) -> Array:
     return 1 / (1 + x * x) ** 2
 
 
-def _invertible(H: Array) -> bool:
-    values = np.linalg.eigvalsh(H)
-    return bool(values[0] > SINGULAR * values[-1] > 0)
-
-
 # --- search: every shift and roll on a coarse grid
 
 SHIFTS = 10  # pixels of the coarsest level, to each side: one is about a degree
 ROLLS_DEG = (0.0, -2.5, 2.5, -5.0, 5.0)
-MOST_POINTS = 140
-WORST = 2.0  # residuals, in steepnesses of an edge, from which a place counts as not found
 GUESSES = 3
+MOST_CONTRAST = 0.3  # what stands before the room must not outweigh it
 
 
-def coarse_guesses(points: EdgePoints, view: Picture, focal_px: float) -> list[Array]:
-    """Return the rotation vectors (3,), radians, in the camera's frame, with the best fits on the coarsest level.
+def coarse_guesses(reference: Picture, view: Picture, focal_px: float) -> list[Array]:
+    """Return the rotation vectors (3,), radians, in the camera's frame, of the shifts that fit best, one a roll.
 
-    To each place the picture is compared where a roll about the middle, and a shift by whole pixels, put it.
+    reference, view (h, w) : contrast on the coarsest level. focal_px : of its pixels.
     """
-    points = points.subset(np.arange(0, len(points.value), -(-len(points.value) // MOST_POINTS)))
-    focal = focal_px / points.scale
-    place, middle = points.rays[:, :2] / points.rays[:, 2:] * focal, (np.array(view.shape[::-1]) - 1) / 2
-    shifts = np.arange(-SHIFTS, SHIFTS + 1)
-    costs = np.stack([_costs(points, view, place @ _roll(np.radians(deg)).T + middle, shifts) for deg in ROLLS_DEG])
-    found = []
-    for _ in range(GUESSES):
-        roll, down, right = np.unravel_index(np.argmin(costs), costs.shape)
-        found.append(np.array([-shifts[down] / focal, shifts[right] / focal, np.radians(ROLLS_DEG[roll])]))
-        costs[:, max(down - 1, 0) : down + 2, max(right - 1, 0) : right + 2] = np.inf  # the next one lies elsewhere
-    return found
-
-
-def _costs(points: EdgePoints, view: Picture, place: Array, shifts: np.ndarray) -> Array:
-    """Return (down, right) mean residual after each shift, in steepnesses, bounded; out of view counts as the worst."""
-    column, row = np.rint(place).astype(np.int64).T
-    columns, rows = column[None, None] + shifts[None, :, None], row[None, None] + shifts[:, None, None]
-    within = (columns >= 0) & (columns < view.shape[1]) & (rows >= 0) & (rows < view.shape[0])
-    value = view[rows.clip(0, view.shape[0] - 1), columns.clip(0, view.shape[1] - 1)]
-    residual = np.abs(value - points.value) / points.steepness
-    return np.where(within, np.minimum(residual, WORST), WORST).mean(axis=2)
-
-
-def _roll(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
+    reference, view = (np.clip(each, -MOST_CONTRAST, MOST_CONTRAST) for each in (reference, view))
+    middle, size, found = ((view.shape[1] - 1) / 2, (view.shape[0] - 1) / 2), view.shape[::-1], []
+    for deg in ROLLS_DEG:
+        turned = cv2.warpAffine(reference, cv2.getRotationMatrix2D(middle, -deg, 1.0), size)
+        fits = cv2.matchTemplate(view, turned[SHIFTS:-SHIFTS, SHIFTS:-SHIFTS], cv2.TM_CCOEFF_NORMED)
+        _, fit, _, (right, down) = cv2.minMaxLoc(fits)
+        turn_rad = np.array([(SHIFTS - down) / focal_px, (right - SHIFTS) / focal_px, np.radians(deg)])
+        found.append((fit, turn_rad))
+    return [turn_rad for _, turn_rad in sorted(found, key=lambda each: -each[0])[:GUESSES]]
 
 
 # --- the places that are compared: the steepest of a pyramid of local contrast, spread over the picture

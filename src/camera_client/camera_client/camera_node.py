@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
@@ -38,7 +38,7 @@ from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED, RESULT, graph_topic
 
 from .background.model import BackgroundModel
-from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
+from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer
 from .background.verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
@@ -59,15 +59,9 @@ SETTLE_S = 4 * POLL_S  # from the first match until both ends of a new connectio
 PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
 
 
-W = TypeVar("W", BegunFrame, FrameResult)
-
-
-class FrameInWork(NamedTuple, Generic[W]):
-    """A frame, and how far work on it is; ``began_s`` : when that began, on the performance counter."""
-
-    frame: Frame
-    work: W
-    began_s: float
+Begun = tuple[Frame, BegunFrame, float]
+"""A frame, how far work on it is, and when that began, seconds on the performance counter."""
+Done = tuple[Frame, FrameResult, float]
 
 
 class CameraNode(SagomaNode):
@@ -80,10 +74,10 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self.source: FrameSource | None = None
         self.loop: GrabLoop | None = None
-        self._segmenter: Worker[FrameInWork[BegunFrame]] | None = None
-        self._outbox: Worker[FrameInWork[FrameResult]] | None = None
-        self._finish_later: Callable[[FrameInWork[BegunFrame]], None] = self._finish
-        self._hand_over: Callable[[FrameInWork[FrameResult]], None] = self._publish
+        self._segmenter: Worker[Begun] | None = None
+        self._outbox: Worker[Done] | None = None
+        self._finish_later: Callable[[Begun], None] = self._finish
+        self._hand_over: Callable[[Done], None] = self._publish
         self.processor: FrameProcessor | None = None
         self.trainer = BackgroundTrainer(self._use_background)
         self.selector = FrameSelector()  # which frames the hull server can take
@@ -190,7 +184,13 @@ class CameraNode(SagomaNode):
         if self.processor.camera is not None:
             check_size(source, self.processor.camera)
         warm_up_silhouettes(len(source.shape) == 3)
-        taken = self.processor.use_shape(source.shape) or self._takes_saved_background(source)
+        try:
+            taken = self.processor.use_shape(source.shape)
+        except InputError as error:
+            if self.settings.background:
+                raise
+            taken = False  # it would be replaced anyway
+            self.get_logger().warning(f"the background learned last is not used: {error}")
         refused = self.processor.refuse_unfit_background(source.details)
         if refused is not None:
             self.health.set("background", "")
@@ -198,14 +198,6 @@ class CameraNode(SagomaNode):
         elif taken:
             self._show_background()
         release_free_memory()
-
-    def _takes_saved_background(self, source: FrameSource) -> bool:
-        assert self.processor is not None
-        try:
-            return self.processor.use_saved_background(source.shape)
-        except InputError as error:  # it would be replaced anyway
-            self.get_logger().warning(f"the background learned last is not used: {error}")
-            return False
 
     def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
         return self._hold(self.destroy_publisher, self.create_publisher(kind, topic, qos))
@@ -235,20 +227,21 @@ class CameraNode(SagomaNode):
         if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
             self.health.count("frames_thinned")
             return
-        self._finish_later(FrameInWork(frame, self.processor.begin(frame), began_s))
+        self._finish_later((frame, self.processor.begin(frame), began_s))
 
     # --- ... of a live camera on two others, so that its next frame does not wait for silhouette, encoder, middleware
 
-    def _finish(self, begun: FrameInWork[BegunFrame]) -> None:
+    def _finish(self, begun: Begun) -> None:
         assert self.processor is not None
-        seen = self.processor.finish(begun.work)
-        self._last = (begun.frame, seen)
+        frame, work, began_s = begun
+        seen = self.processor.finish(work)
+        self._last = (frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
-        self._hand_over(FrameInWork(begun.frame, seen, begun.began_s))
+        self._hand_over((frame, seen, began_s))
 
-    def _publish(self, done: FrameInWork[FrameResult]) -> None:
-        frame, seen = done.frame, done.work
+    def _publish(self, done: Done) -> None:
+        frame, seen, began_s = done
         self._topics.publish_image(frame)
         if seen.canvas is None:
             self._topics.publish_uncalibrated(frame)
@@ -260,7 +253,7 @@ class CameraNode(SagomaNode):
             for flag in seen.silhouette.flags:
                 self.health.count(f"{flag}_masks")
         self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
-        self.health.set("processing_ms", 1e3 * (time.perf_counter() - done.began_s))
+        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began_s))
 
     def _stamps_are_now(self) -> bool:
         """Return whether stamps follow the system clock, so that their age is a latency."""
@@ -310,12 +303,11 @@ class CameraNode(SagomaNode):
         details = source.details
         about = {key: details[key] for key in PROVENANCE if key in details}
         about["created"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        request = TrainingRequest(
-            settings.background_frames, source.description, settings.background_file, processor.background, about
-        )
+        wanted = settings.background_frames, source.description, settings.background_file
         learned = Future()
         try:
-            self.trainer.begin(request).add_done_callback(lambda over: learned.set_result(over.result()))
+            over = self.trainer.begin(*wanted, processor.background, about)
+            over.add_done_callback(lambda over: learned.set_result(over.result()))
         except InputError as error:
             response.message = str(error)
             return response

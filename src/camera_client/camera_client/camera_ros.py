@@ -26,6 +26,7 @@ from .background.causes import KEY as FINDINGS_KEY
 from .background.causes import findings_text
 from .background.model import BackgroundModel
 from .diagnostics import (
+    NO_RESULT,
     CameraState,
     Level,
     RecentStatistics,
@@ -157,8 +158,9 @@ class CameraReport:
             has_background=processor.background is not None,
             refused=processor.refused,
             findings=findings,
+            result=last[1] if last else NO_RESULT,
         )
-        self._say(*assess(state.with_result(last[1]) if last else state))
+        self._say(*assess(state))
 
     def _say(self, level: Level, text: str) -> None:
         """Set the level and line of the diagnostics; log when the kind of trouble changes."""

@@ -7,22 +7,25 @@ of diagnostic_msgs.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 from capture_rig.verdict import GOOD, Finding
 
-from .background.causes import OTHER_SETTING, age_h, find_causes, other_setting, worst_first
+from .background.causes import age_h, find_causes
 from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import LASTING_S, Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
-from .sources.frame_checks import LIGHTS, REMEDIES
+from .sources.frame_checks import REMEDIES
 from .sources.grab_loop import GrabState
 
 CONNECTION_COUNTERS = ("reconnects", "stalls", "control_losses", "failed_attempts")
 UNCALIBRATED = "uncalibrated: no silhouettes; run sagoma calibrate"
 NO_BACKGROUND = "no background: run sagoma background (or call ~/learn_background while the scene is empty)"
 UNPLACED = "the camera's place is unknown: shadows stay in the silhouettes; give it a rig_file"
+
+
+NO_RESULT = FrameResult(None, ())
 
 
 class Level(IntEnum):
@@ -37,11 +40,9 @@ class Level(IntEnum):
 class CameraState:
     """A camera client at one instant.
 
-    ``connection`` is None for footage. ``recent`` counts the frames of the last seconds. ``frame_flags`` and
-    ``mask_flags`` are those of the newest frame and silhouette. ``calibrated``: its lens is known, and ``placed``: its
-    pose. ``findings`` say what speaks against the background, the worst first, and ``refused`` why there is one that is
-    not in use; ``moved`` how the camera was moved since its calibration, if it was, and ``severe`` whether that makes
-    its silhouettes useless.
+    ``connection`` is None for footage. ``recent`` counts the frames of the last seconds. ``calibrated``: its lens is
+    known, and ``placed``: its pose. ``findings`` say what speaks against the background, the worst first, and
+    ``refused`` why there is one that is not in use. ``result`` is the newest frame's.
     """
 
     grab: GrabState
@@ -54,18 +55,7 @@ class CameraState:
     has_background: bool = True
     refused: Finding | None = None
     findings: tuple[Finding, ...] = ()
-    frame_flags: tuple[str, ...] = ()
-    mask_flags: tuple[str, ...] = ()
-    moved: str = ""
-    severe: bool = False
-
-    def with_result(self, result: FrameResult) -> CameraState:
-        """Return the same with the flags of the newest frame, and the camera's movement."""
-        mask_flags = () if result.silhouette is None else result.silhouette.flags
-        state = replace(self, frame_flags=result.flags, mask_flags=mask_flags)
-        if result.movement is None or result.canvas is None:
-            return state
-        return replace(state, moved=result.movement.describe(result.canvas.name), severe=result.movement.severe)
+    result: FrameResult = NO_RESULT
 
 
 def assess(state: CameraState) -> tuple[Level, str]:
@@ -77,13 +67,13 @@ def assess(state: CameraState) -> tuple[Level, str]:
         return Level.OK, f"{text} after {state.frames} frames" if state.frames else text
     if state.connection is not None and state.connection.state is not ConnectionState.STREAMING:
         return Level.ERROR, _absence(state.connection)
-    if state.moved and state.severe:
-        return Level.ERROR, state.moved
-    setting = next((finding.line for finding in state.findings if finding.code in OTHER_SETTING), "")
-    if setting and LIGHTS in state.frame_flags:
-        return Level.WARN, setting
-    if state.frame_flags:
-        return Level.WARN, "; ".join(f"{flag}: {REMEDIES.get(flag, flag)}" for flag in state.frame_flags)
+    result = state.result
+    if result.movement is not None and result.canvas is not None:
+        moved = result.movement.describe(result.canvas.name)
+        if moved:
+            return Level.ERROR, moved
+    if result.flags:
+        return Level.WARN, "; ".join(f"{flag}: {REMEDIES[flag]}" for flag in result.flags)
     bad = state.recent.lost + state.recent.incomplete
     if bad and state.connection is not None:
         return Level.WARN, f"{bad} of the last {state.recent.expected} frames were lost or incomplete: see the network"
@@ -91,14 +81,12 @@ def assess(state: CameraState) -> tuple[Level, str]:
         return Level.WARN, UNCALIBRATED
     if not state.has_background:
         return Level.WARN, NO_BACKGROUND if state.refused is None else state.refused.line
-    if state.moved:
-        return Level.WARN, state.moved
     if state.findings and state.findings[0].grade != GOOD:
         return Level.WARN, state.findings[0].line
     if not state.placed:
         return Level.WARN, UNPLACED
-    if state.mask_flags:
-        return Level.WARN, f"the mask is {' and '.join(state.mask_flags)}"
+    if result.silhouette is not None and result.silhouette.flags:
+        return Level.WARN, f"the mask is {' and '.join(result.silhouette.flags)}"
     return Level.OK, state.grab.value
 
 
@@ -112,20 +100,14 @@ def _absence(connection: Connection) -> str:
     return f"{what}: {connection.reason or 'not connected yet'} ({when}{since})"
 
 
-def connection_values(connection: Connection) -> dict[str, object]:
-    """Return how the connection stands, how long it was away, and how the last outage went."""
-    values: dict[str, object] = {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
-    if connection.last_outage_s is not None:
-        values["last_outage_s"] = round(connection.last_outage_s, 3)
-    return values
-
-
 def source_values(source: FrameSource) -> dict[str, object]:
     """Return all figures of a source: details, counters, connection, frames; what a live one counts is there from 0."""
-    connection = source.connection
-    counted: dict[str, object] = {**source.counters}
+    connection, counted = source.connection, dict[str, object](source.counters)
     if connection is not None:
-        counted = {**dict.fromkeys(CONNECTION_COUNTERS, 0), **counted, **connection_values(connection)}
+        counted = dict.fromkeys(CONNECTION_COUNTERS, 0) | counted
+        counted |= {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
+        if connection.last_outage_s is not None:
+            counted["last_outage_s"] = round(connection.last_outage_s, 3)
     return {**source.details, **counted, **source.statistics.counts()}
 
 
@@ -168,15 +150,13 @@ def background_findings(
 
     Footage is as old as its background, whatever the clock says.
     """
-    background, condition, limit_h = processor.background, processor.condition, settings.background_age_h
+    background, limit_h = processor.background, settings.background_age_h
     if background is None:
         return () if processor.refused is None else (processor.refused,)
-    corrected = condition.light_gain if settings.background_model.rule == "adaptive" else None
-    figures, age = condition.figures(), age_h(background.provenance, now_s)
+    figures, age = processor.condition.figures(), age_h(background.provenance, now_s)
     if age is not None and limit_h > 0 and source.connection is not None:
         figures |= {"age_h": age, "age_over_h": age - limit_h}
-    other = other_setting(background.provenance, source.details, corrected)
-    return worst_first([*other, *find_causes(figures)])
+    return find_causes(figures)
 
 
 def background_values(processor: FrameProcessor, now_s: float) -> dict[str, object]:

@@ -24,7 +24,7 @@ from .movement import CameraMovedDetector, Movement, carry_turn_over, turn_when_
 from .settings import CameraClientSettings
 from .silhouettes.pipeline import Difference, SilhouettePipeline
 from .sources.footage_reader import open_footage
-from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
+from .sources.frame_checks import FrameChecks
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,26 +127,20 @@ class FrameProcessor:
         self._stages = self._made(camera, self.background)
 
     def use_shape(self, shape: tuple[int, ...]) -> bool:
-        """Take the background that the settings name for images of this shape, unless one of that shape is in use.
+        """Take the background that the settings name, else the one that the last training saved, for images of this
+        shape, unless one of that shape is in use.
 
-        True when the background was replaced. Raises InputError when the file cannot be read or does not fit.
+        True when there is another one now. Raises InputError when the file cannot be read or does not fit.
         """
         if self.background is not None and self.background.shape == shape:
             return False
-        path = self._settings.background
-        self.use_background(read_background(path, shape, self._settings.background_model) if path else None)
+        self.use_background(None)
+        path, saved = self._settings.background, self._settings.background_file
+        if not path and saved and Path(saved).exists():
+            path = saved
+        if path:
+            self.use_background(read_background(path, shape, self._settings.background_model))
         return bool(path)
-
-    def use_saved_background(self, shape: tuple[int, ...]) -> bool:
-        """Take the background that the last training saved, if there is one and the settings name no other.
-
-        True when it is in use now. Raises InputError when it cannot be read or does not fit images of ``shape``.
-        """
-        path = self._settings.background_file
-        if self._settings.background or self.background is not None or not path or not Path(path).exists():
-            return False
-        self.use_background(read_background(path, shape, self._settings.background_model))
-        return True
 
     def check_background_file(self) -> None:
         """Raises InputError when the background that the settings name is not there, whatever the images' shape."""
@@ -169,14 +163,13 @@ class FrameProcessor:
         """Do what the next frames need, as :meth:`run` says: all but the silhouette."""
         tools = self._stages
         canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
-        difference, gain, condition = None, 1.0, None
+        difference, condition, moved = None, None, tools.moved
         if tools.pipeline is not None:
-            difference, gain = tools.pipeline.subtract(frame.image, frame.stamp_ns), tools.pipeline.gain
-        flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
+            difference = tools.pipeline.subtract(frame.image, frame.stamp_ns)
+        flags = tools.checks.check(frame.image, frame.stamp_ns)
         if tools.condition is not None and not flags:
             condition = tools.condition.of_background(frame.stamp_ns)
-        moved = tools.moved
-        if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
+        if moved is not None and not flags:
             moved.update(frame.image, frame.stamp_ns)
         result = FrameResult(canvas, flags, None, None if moved is None else moved.movement)
         return BegunFrame(tools, frame.stamp_ns, result, difference, condition)
@@ -189,7 +182,7 @@ class FrameProcessor:
             return begun.result
         silhouette = tools.pipeline.segment(begun.difference)
         if tools.condition is not None and begun.condition is not None:
-            tools.condition.add(begun.condition, begun.stamp_ns, silhouette)
+            tools.condition.add(begun.condition, begun.stamp_ns)
         return replace(begun.result, silhouette=silhouette)
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:

@@ -29,7 +29,6 @@ MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on 
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = MIN_AGREEMENT / 2  # when fewer agree on anything for LASTING_S, the picture is another one; a search, which
 # costs as much as ten comparisons, is not made more often
-SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
 
 
 class MovementState(Enum):
@@ -47,15 +46,13 @@ class Movement:
 
     turn_rad (3,) : rotation vector of the camera in its own frame (x right, y down, z forward), radians; a push aside
     shows as the turn that has nearly the same effect. shift_px (2,) : how far the middle of the picture moved, right
-    and down. agreeing : share of the background's edges that confirm it, beyond chance. severe : its silhouettes are of
-    no use any more.
+    and down. agreeing : share of the background's edges that confirm it, beyond chance.
     """
 
     state: MovementState = MovementState.UNKNOWN
     turn_rad: Array = field(default_factory=lambda: np.zeros(3))
     shift_px: Array = field(default_factory=lambda: np.zeros(2))
     agreeing: float = 0.0
-    severe: bool = False
 
     @property
     def turned_deg(self) -> float:
@@ -111,7 +108,7 @@ class CameraMovedDetector:
         settings: CameraMovedSettings | None = None,
         since_rad: Array | None = None,
     ) -> None:
-        self._camera, self._settings = camera, settings or CameraMovedSettings()
+        self._focal_px, self._settings = camera.K[0, 0], settings or CameraMovedSettings()
         self.alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
         self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
         self._samples: deque[Alignment] = deque(maxlen=SAMPLES)
@@ -141,7 +138,7 @@ class CameraMovedDetector:
         self._unlike_s = self._unlike_s + step_s if found is None or found.agreeing < LOST else 0.0
         if self._unlike_s >= LASTING_S:
             self._samples.clear()
-            self.movement = Movement(MovementState.LOST, severe=True)
+            self.movement = Movement(MovementState.LOST)
         return self.movement
 
     def _measured(self) -> Movement:
@@ -150,25 +147,16 @@ class CameraMovedDetector:
             return self.movement
         turn_rad = np.median([sample.turn_rad for sample in self._samples], axis=0)
         gained = float(np.median([sample.agreeing - sample.agreeing_unmoved for sample in self._samples]))
-        R = rotation_matrix(turn_rad) @ self._since
-        total_rad = rotation_vector(R)
+        total_rad = rotation_vector(rotation_matrix(turn_rad) @ self._since)
         limit_rad = np.radians(self._settings.limit_deg)
         if np.linalg.norm(turn_rad) > limit_rad and gained < MIN_AGREEMENT_GAIN:
             return Movement()
         return Movement(
             state=MovementState.MOVED if np.linalg.norm(total_rad) > limit_rad else MovementState.STILL,
             turn_rad=total_rad,
-            shift_px=self._shift_px(R),
+            shift_px=self._focal_px * np.array([total_rad[1], -total_rad[0]]),
             agreeing=float(np.median([sample.agreeing for sample in self._samples])),
-            severe=bool(np.linalg.norm(total_rad) > SEVERE_FACTOR * limit_rad),
         )
-
-    def _shift_px(self, R: Array) -> Array:
-        """Return (2,) from where to where a turn moves what is in the middle of the picture."""
-        K = self._camera.K
-        middle = np.array([self._camera.width - 1, self._camera.height - 1]) / 2
-        u, v, w = K @ R @ np.linalg.inv(K) @ np.append(middle, 1.0)
-        return np.array([u / w, v / w]) - middle if w > 0 else np.full(2, np.inf)
 
 
 # --- how far the camera had turned when a background was learned
@@ -194,18 +182,8 @@ def carry_turn_over(model: BackgroundModel, before: BackgroundModel | None, came
     place, turn_rad = pose_checksum(camera), np.zeros(3)
     if before is not None and before.shape == model.shape and before.provenance.calibration in ("", place):
         turn_rad = turn_when_learned(before.provenance, camera)
-        step_rad = turn_between(before, model, camera)
-        if step_rad is not None:
-            turn_rad = rotation_vector(rotation_matrix(step_rad) @ rotation_matrix(turn_rad))
+        found = PictureAlignment(camera, before.mean, float(np.median(before.sigma))).align(model.mean)
+        if found is not None and found.agreeing >= MIN_AGREEMENT:
+            turn_rad = rotation_vector(rotation_matrix(found.turn_rad) @ rotation_matrix(turn_rad))
     text = " ".join(f"{angle:.6f}" for angle in turn_rad)
     return model.with_provenance(calibration=place, camera_turn_rad=text)
-
-
-def turn_between(before: BackgroundModel, model: BackgroundModel, camera: CameraModel) -> Array | None:
-    """(3,) rotation vector by which the camera turned between two backgrounds; None when that cannot be found."""
-    sigma = float(np.median(before.sigma))
-    found = PictureAlignment(camera, before.mean, sigma).align(model.mean)
-    if found is None or found.agreeing < MIN_AGREEMENT:
-        return None
-    unmoved = found.agreeing - found.agreeing_unmoved < MIN_AGREEMENT_GAIN
-    return np.zeros(3) if unmoved and np.linalg.norm(found.turn_rad) < 1e-3 else found.turn_rad

@@ -3,6 +3,7 @@
 import numpy as np
 
 from camera_client.background.model import BackgroundLearner
+from capture_rig.mask_levels import SHADOW_CANDIDATE
 
 PATIENCE = 20  # silent seconds, only ever used up by a failing test
 
@@ -16,8 +17,9 @@ def learned(images, source="test", **about):
 
 
 def iou(mask, truth):
-    """Intersection over union of the person (255, as candidates for shadow are none) and the truth (not zero)."""
-    return ((mask == 255) & (truth > 0)).sum() / ((mask == 255) | (truth > 0)).sum()
+    """Intersection over union of the person (candidates for shadow are none) and the truth (not zero)."""
+    person = mask > SHADOW_CANDIDATE
+    return (person & (truth > 0)).sum() / (person | (truth > 0)).sum()
 
 
 def frames_of(source, count):

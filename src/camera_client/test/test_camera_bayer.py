@@ -72,7 +72,6 @@ def test_tiles_give_better_silhouettes_than_the_interpolated_mosaic_at_half_the_
         found[halved] = np.mean([iou(silhouette.image_mask, truth) for silhouette, (_, truth) in pairs])
         last, view = silhouettes[-1], camera.undistorted_view()
         assert last.image_mask.shape == view.image_shape and last.mask.shape == view.seen.shape
-        assert processor.pipeline.background_pixels.shape == view.image_shape
         assert outline(picture(seen[-1][0], 5), last.image_mask).shape == (240, 320, 3)
     assert found[True] > max(found[False], 0.88)
 

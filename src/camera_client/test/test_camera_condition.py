@@ -1,7 +1,6 @@
 """What a client says of how sure it is: each cause by its code, with its remedy, and nothing of a sound room."""
 
 import itertools
-import re
 
 import cv2
 import numpy as np
@@ -68,41 +67,32 @@ def test_sound_room_and_a_person_in_it_give_no_finding(scene, colour, others):
 
 
 @pytest.mark.parametrize(
-    "factor, code, text, grade",
+    "factor, text, grade",
     [
-        (1.12, "light.brighter", "the light is 12 % brighter than when the background was learned", GOOD),
-        (0.9, "light.darker", "the light is 10 % darker", GOOD),
-        (1.4, "light.brighter", "40 % brighter", USABLE),
-        (0.7, "light.darker", "30 % darker", USABLE),
+        (1.12, "the light has changed by +12 % since the background was learned", GOOD),
+        (0.9, "by -10 %", GOOD),
+        (1.4, "by +40 %", USABLE),
+        (0.7, "by -30 %", USABLE),
     ],
 )
-def test_light_that_is_followed_is_told_in_percent(scene, factor, code, text, grade):
+def test_light_that_is_followed_is_told_in_percent(scene, factor, text, grade):
     room = Room(scene)
     room.see(3, at(factor))
     (finding,) = (finding for code, finding in room.findings().items() if code.startswith("light"))
-    assert (finding.code, finding.grade) == (code, grade) and text in finding.what
+    assert (finding.code, finding.grade) == ("light.level", grade) and text in finding.what
     assert ("sagoma background" in finding.remedy) == (grade == USABLE)
 
 
-def test_light_of_another_colour_is_told_by_channel(scene):
-    room = Room(scene, colour=True)
-    room.see(3, at(np.array([0.9, 1.0, 1.1])))
-    assert "blue -10 %, green +0 %, red +10 %" in room.findings()["light.colour"].what
-    assert "light.brighter" not in room.findings()
-
-
-def test_lamps_that_are_switched_are_told_once_and_as_a_fault_when_it_does_not_end(scene):
+def test_lamps_that_are_switched_again_and_again_are_told_until_it_ends(scene):
     room = Room(scene)
     room.see(5)
     room.see(3, at(1.3))
-    assert room.processor.condition.light_switches == 1
-    assert room.findings()["light.switched"].grade == GOOD
+    assert room.processor.condition.light_switches_recent == 1 and "light.unsteady" not in room.findings()
     for factor in (1.0, 1.3, 1.0):
         room.see(3, at(factor))
     assert "changed suddenly 4 times" in room.findings()["light.unsteady"].what
     room.see(40, hz=2)
-    assert not {"light.unsteady", "light.switched"} & set(room.findings())
-    assert room.processor.condition.light_switches == 4
+    assert room.findings() == {}
 
 
 def test_flicker_of_the_mains_is_measured_and_slow_light_is_none(scene):
@@ -115,13 +105,10 @@ def test_flicker_of_the_mains_is_measured_and_slow_light_is_none(scene):
     assert slow.processor.condition.light_flicker < 0.005
 
 
-def test_noise_is_told_against_what_was_learned(scene):
+def test_noise_is_measured_and_told(scene):
     room, rng = Room(scene), np.random.default_rng(3)
     room.see(10, lambda image, second: image + 4.5 * rng.normal(size=image.shape), hz=10)
-    finding = room.findings()["noise.higher"]
     assert room.processor.condition.noise_levels == pytest.approx(np.hypot(1.5, 4.5), rel=0.1)
-    assert finding.grade == GOOD
-    assert re.match(r"the noise is 4\.[678] grey levels, 3\.[0-2] times what was learned", finding.what)
     room.see(10, lambda image, second: image + 9 * rng.normal(size=image.shape))
     assert room.findings()["noise.high"].grade == USABLE
 
@@ -146,41 +133,22 @@ def test_thing_that_became_background_is_told_with_its_place(scene):
     room.see(8, chair, others=NOBODY)
     finding, condition = room.findings()["room.things_moved"], room.processor.condition
     assert finding.grade == GOOD and "lower right at" in finding.what
-    assert condition.things_absorbed == 1 and 0 < condition.things_since_s < 6
+    assert condition.things_absorbed == 1
     assert 30 * 25 < 160 * 120 * condition.things_share < 3 * 30 * 25  # whole blocks of 8 px, and their neighbours
     room.see(4, others=NOBODY)
     assert "room.things_moved" not in room.findings()
     assert room.processor.condition.things_share == 0 and room.processor.condition.things_given_back >= 1
 
 
-def screen(image, second):
-    """A film runs on a screen on the wall."""
-    image[20:70, 100:150] = (
-        np.random.default_rng(round(10 * second)).uniform(0, 255, (10, 10)).repeat(5, 0).repeat(5, axis=1)
-    )
-    return image
-
-
-def test_room_that_changes_without_end_is_told_within_seconds_and_never_learned(scene):
-    room = Room(scene)
-    room.see(5, others=NOBODY)
-    room.see(8, screen, others=NOBODY)
-    finding = room.findings()["room.restless"]
-    assert finding.grade == USABLE and "keeps changing where no other camera sees anybody" in finding.what
-    room.see(60, screen, others=NOBODY, hz=2)
-    assert "room.restless" in room.findings() and room.processor.condition.things_absorbed == 0
-
-
-def test_person_who_dances_is_no_restless_room(scene):
-    def dance(image, second):
-        return scene.with_person(image, np.roll(scene.person_mask(), int(30 * np.sin(3 * second)), axis=1))
+def test_film_on_a_screen_is_never_learned_as_background(scene):
+    def film(image, second):
+        grain = np.random.default_rng(round(10 * second)).uniform(0, 255, (10, 10))
+        image[20:70, 100:150] = grain.repeat(5, axis=0).repeat(5, axis=1)
+        return image
 
     room = Room(scene)
     room.see(5, others=NOBODY)
-    for _ in range(20):
-        condition = room.see(1, dance, others=BODY)
-        assert condition.restless_foreground == 0
-    assert condition.unexplained_foreground < 0.005 and "room.restless" not in room.findings()
+    assert room.see(60, film, others=NOBODY, hz=2).things_absorbed == 0
 
 
 def test_foreground_far_from_the_person_is_unexplained(scene):
@@ -244,17 +212,9 @@ def test_figures_are_keys_of_the_diagnostics_before_and_after_there_is_a_backgro
     assert set(none) < set(values) and values["light_gain"] == pytest.approx(1.0, abs=0.01)
 
 
-def test_same_stamps_give_the_same_figures_and_a_clock_set_back_does_no_harm(scene):
-    one, two = Room(scene), Room(scene)
-    assert one.see(6, chair, others=NOBODY) == two.see(6, chair, others=NOBODY)
-    one.stamp_ns = 0
-    one.see(6)
-    assert one.processor.condition.light_flicker < 0.002
-
-
 def test_findings_survive_their_journey(scene):
-    found = find_causes(Condition(light_gain=1.5, noise_levels=8.0, noise_learned_levels=2.0).figures())
-    assert [finding.code for finding in found] == ["light.brighter", "noise.high", "noise.higher"]
+    found = find_causes(Condition(light_gain=1.5, noise_levels=8.0, things_share=0.1).figures())
+    assert [finding.code for finding in found] == ["light.level", "noise.high", "room.things_moved"]
     assert read_findings(findings_text(found)) == found
     assert read_findings("") == read_findings("[3]") == read_findings('[{"grade": "good"}]') == ()
 
@@ -270,12 +230,12 @@ def test_node_says_the_worst_cause_and_publishes_figures_and_findings(bench, ses
     images = [np.clip(np.rint(1.4 * image), 0, 255).astype(np.uint8) for image in scene.empty(25, seed=5)]
     footage = scene.write_video(session.folder / "bright.avi", [scene.with_person(image) for image in images])
     camera = bench(**{**looping, "footage.path": footage}).start()
-    camera.until_said("the light is 40 % brighter than when the background was learned")
+    camera.until_said("the light has changed by +40 % since the background was learned")
     values = camera.values()
     assert float(values["light_gain"]) == pytest.approx(1.4, rel=0.03)
     assert float(values["noise_learned_levels"]) == pytest.approx(1.5, rel=0.15)
-    assert values["things_endless"] == "False" and float(values["unexplained_foreground"]) < 0.005
-    assert "light.brighter" in [finding.code for finding in read_findings(values[FINDINGS_KEY])]
+    assert float(values["unexplained_foreground"]) < 0.005
+    assert "light.level" in [finding.code for finding in read_findings(values[FINDINGS_KEY])]
     assert camera.diagnostics[-1].status[0].level == b"\1" and camera.masks
 
 
@@ -297,7 +257,7 @@ def test_node_refuses_the_background_of_another_camera_until_it_learned_its_own(
     camera.until(lambda: read_findings(camera.values()[FINDINGS_KEY]) == ())
 
 
-def test_background_of_another_camera_is_refused_and_that_of_another_exposure_corrected(scene):
+def test_light_of_another_exposure_is_corrected(scene):
     room = Room(scene)
     room.processor.use_background(learned(scene.empty(60), camera_serial="A", exposure_us="5000"))
     assert room.processor.refuse_unfit_background({"camera_serial": "A", "exposure_us": "9000"}) is None
@@ -306,14 +266,6 @@ def test_background_of_another_camera_is_refused_and_that_of_another_exposure_co
         scene.with_person((room.empty[3] * 0.55).astype(np.uint8)), room.stamp_ns + 10**8
     )
     assert iou(silhouette.image_mask, scene.person_mask()) > 0.93
-    reason = room.processor.refuse_unfit_background({"camera_serial": "B"})
-    assert reason.code == "background.other_camera" and room.processor.refused == reason
-    assert (
-        room.processor.background is None
-        and room.processor.run(Frame(room.empty[0], 10**12, 1, "test")).silhouette is None
-    )
-    room.processor.use_background(learned(scene.empty(60), camera_serial="B"))
-    assert room.processor.refused is None
 
 
 @pytest.mark.slow

@@ -5,15 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camera_client.diagnostics import (
-    CameraState,
-    Level,
-    RecentStatistics,
-    assess,
-    connection_values,
-    frame_values,
-    source_values,
-)
+from camera_client.diagnostics import CameraState, Level, RecentStatistics, assess, frame_values, source_values
 from camera_client.frame_processor import FrameResult
 from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics
 from camera_client.sources.frame_checks import REMEDIES
@@ -26,11 +18,14 @@ OLD = Finding(USABLE, "the background is 14 h old", "learn again", "background.o
 FLICKERS = Finding(GOOD, "the light flickers by 1.5 %", "it is followed", "light.flicker")
 RUNNING = {"grab": GrabState.RUNNING, "connection": STREAMING}
 LOSSES = {"recent": FrameStatistics(9, 1, 8), "has_background": False}
-EVERYTHING = {"frame_flags": ("dark",), "mask_flags": ("full",), **LOSSES}
 
 
-def mask(*flags):
-    return Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, flags, 0.125)
+def seen(*flags, mask=()):
+    silhouette = Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, mask, 0.125)
+    return {"result": FrameResult(None, flags, silhouette)}
+
+
+EVERYTHING = {**seen("dark", mask=("full",)), **LOSSES}
 
 
 def linked(state, reason="", **more):
@@ -57,7 +52,7 @@ def linked(state, reason="", **more):
         ),
         (linked("STALLED", "nothing came for 0.5 s"), Level.ERROR, "stalled: nothing came for 0.5 s"),
         (linked("CONTROL_LOST", "taken"), Level.ERROR, "control lost: taken; connecting anew"),
-        ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
+        (seen("frozen"), Level.WARN, f"frozen: {REMEDIES['frozen']}"),
         ({"recent": FrameStatistics(100, 97, 1, 2)}, Level.WARN, "3 of the last 100 frames were lost or incomplete"),
         ({"recent": FrameStatistics(9, 8, 1), "connection": None}, Level.OK, "active"),  # footage has no network
         ({"has_background": False}, Level.WARN, "no background: run sagoma background"),
@@ -66,7 +61,7 @@ def linked(state, reason="", **more):
         ({"findings": (OLD, FLICKERS)}, Level.WARN, "the background is 14 h old: learn again"),
         ({"findings": (FLICKERS,)}, Level.OK, "active"),
         ({"has_background": False, "refused": OLD}, Level.WARN, "the background is 14 h old: learn again"),
-        ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
+        (seen(mask=("empty",)), Level.WARN, "the mask is empty"),
         # the gravest trouble is told alone
         ({**EVERYTHING, **linked("WAITING", "off")}, Level.ERROR, "no camera: off"),
         (EVERYTHING, Level.WARN, "dark: "),
@@ -76,19 +71,6 @@ def linked(state, reason="", **more):
 def test_level_and_text_follow_the_state(state, level, text):
     got = assess(CameraState(**{**RUNNING, **state}))
     assert got[0] is level and got[1].startswith(text)
-
-
-def test_setting_that_changed_explains_why_the_scene_looks_brighter_and_not_why_it_is_dark():
-    exposure = Finding(USABLE, "the exposure is 8000 us", "set it back", "background.exposure")
-    changed = {**RUNNING, "findings": (OLD, exposure)}
-    assert assess(CameraState(**changed, frame_flags=("lights",)))[1] == "the exposure is 8000 us: set it back"
-    assert assess(CameraState(**changed, frame_flags=("dark",)))[1].startswith("dark: ")
-
-
-def test_flags_of_the_newest_frame_and_mask_are_taken_over():
-    seen = FrameResult(canvas=None, flags=("lights",), silhouette=mask("full"))
-    state = CameraState(GrabState.RUNNING).with_result(seen)
-    assert (state.frame_flags, state.mask_flags) == (("lights",), ("full",))
 
 
 def test_recent_losses_are_forgotten_after_the_window():
@@ -112,24 +94,19 @@ def source(connection=None):
 
 
 def test_figures_of_a_live_source_are_there_before_anything_happened():
-    values = source_values(source(Connection(ConnectionState.STREAMING, downtime_s=1.234)))
+    values = source_values(source(Connection(ConnectionState.STREAMING, downtime_s=1.234, last_outage_s=1.2346)))
     assert values["expected"] == values["delivered"] + values["incomplete"] + values["lost"] == 10
     assert (values["repeated"], values["stalls"], values["reconnects"], values["downtime_s"]) == (3, 4, 0, 1.23)
-    assert values["camera_serial"] == "S" and values["link"] == "streaming"
+    assert (values["camera_serial"], values["link"], values["last_outage_s"]) == ("S", "streaming", 1.235)
 
 
 def test_figures_of_footage_tell_nothing_of_a_connection():
     assert not {"reconnects", "link", "downtime_s"} & set(source_values(source()))
 
 
-def test_last_outage_is_told_in_seconds():
-    values = connection_values(Connection(ConnectionState.STREAMING, last_outage_s=3.25))
-    assert values["last_outage_s"] == 3.25
-
-
 def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
     frame = Frame(np.zeros((2, 2), np.uint8), 5, 1, "ptp", uncertainty_ns=1500)
-    values = frame_values(frame, FrameResult(None, (), mask()))
+    values = frame_values(frame, **seen())
     assert values == {
         "stamp_source": "ptp",
         "stamp_uncertainty_us": 1.5,

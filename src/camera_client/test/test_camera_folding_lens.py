@@ -9,7 +9,6 @@ import pytest
 from camera_pictures import learned
 
 from camera_client.alignment import PictureAlignment, choose_edge_points
-from camera_client.silhouettes.masks import Box, BoxUndistorter
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels
 from virtual_studio.rendering.camera import Sensor
@@ -70,13 +69,6 @@ def test_silhouette_on_the_canvas_has_nothing_of_what_happens_in_a_folded_corner
     assert shown.mask.shape == view.seen.shape and not shown.mask[~view.seen].any()
     full = view.undistort_mask(np.where(rayless(), np.uint8(255), np.uint8(0)))
     assert not full.any()
-
-
-def test_box_of_a_folding_lens_is_undistorted_as_the_whole_image_is():
-    view = camera().undistorted_view()
-    mask = np.where(np.random.default_rng(2).random((486, 644)) > 0.5, np.uint8(255), np.uint8(0))
-    mask[:20], mask[:, 600:] = 0, 0
-    assert np.array_equal(BoxUndistorter(view).undistort(mask, Box.around(mask)), view.undistort_mask(mask))
 
 
 @pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.4, -1.0, 1.5)])

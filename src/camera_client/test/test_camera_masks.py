@@ -25,7 +25,7 @@ from camera_client.silhouettes.masks import (
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene
 from capture_rig.camera import CameraModel
-from capture_rig.mask_levels import SHADOW_CANDIDATE
+from capture_rig.mask_levels import SHADOW_CANDIDATE, UNCERTAIN
 from capture_rig.rig import Volume
 
 THESIS = BackgroundSettings(rule="tail")
@@ -84,7 +84,7 @@ def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
 
 def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
-    raw = majority(background.limits(THESIS).subtract(image))
+    raw = majority(FixedBackground(background, THESIS).distance(image, image))
     scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
     shadow = (ColourShadow if image.ndim == 3 else FloorShadow)(camera).shadow(scene, raw)
     height = len(image)
@@ -124,7 +124,9 @@ def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour)
         image = cv2.resize(scene.with_person(image, person), None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
         silhouette = pipeline.run(image)
         expected = whole_image(camera, model, image, settings)
-        assert np.array_equal(silhouette.image_mask, expected)
+        levels = silhouette.image_mask
+        assert np.array_equal(levels > SHADOW_CANDIDATE, expected == 255)
+        assert np.array_equal((levels > UNCERTAIN) & (levels <= SHADOW_CANDIDATE), expected == SHADOW_CANDIDATE)
         assert (expected == 255).any() and (expected == SHADOW_CANDIDATE).any()
         assert silhouette.foreground_fraction == pytest.approx((expected == 255).mean())
         assert silhouette.candidate_fraction == pytest.approx((expected == SHADOW_CANDIDATE).mean())
@@ -147,14 +149,6 @@ def blank():
 
 def keep(mask, min_area_px=20, near_px=20, max_hole_px=30):
     return keep_people(mask, PeopleRule(min_area_px, near_px, max_hole_px))
-
-
-def test_chain_of_pieces_survives_link_by_link():
-    mask = blank()
-    for x in (50, 80, 110, 140):  # each 18 px from the next, the last far from the largest
-        mask[100:112, x : x + 12] = 255
-    mask[90:130, 10:40] = 255
-    assert np.array_equal(keep(mask), mask)
 
 
 @pytest.mark.parametrize(
@@ -199,21 +193,6 @@ def test_holes_and_what_is_in_them_are_those_that_labelling_finds(width):
     assert small >= 2
 
 
-def test_smallest_kept_component_has_exactly_the_minimal_area():
-    mask = blank()
-    mask[10:14, 10:15] = 255
-    assert keep(mask, min_area_px=20).any()
-    assert not keep(mask, min_area_px=21).any()
-
-
-def test_hole_of_a_dropped_component_stays_empty():
-    mask = blank()
-    mask[40:120, 10:60] = 255
-    mask[40:56, 200:218] = 255
-    mask[46:51, 205:210] = 0
-    assert not keep(mask)[:, 190:].any()
-
-
 def person():
     """Head, trunk, an arm held out with its hand, two legs with feet, as a camera 3 m away would see them."""
     mask = blank()
@@ -252,17 +231,6 @@ def test_majority_equals_the_median_of_a_mask(side):
     assert np.array_equal(majority(mask, side), mask if side == 1 else cv2.medianBlur(mask, side))
 
 
-def test_larger_thing_does_not_stand_in_for_the_person():
-    mask, things = np.zeros((2, 120, 160), np.uint8)
-    mask[20:100, 10:70], mask[30:90, 120:140] = 255, 255
-    things[16:104, 8:72] = 255
-    assert keep_people(mask, PeopleRule(20, 5, 10))[60, 30] == 255
-    kept = keep_people(mask, PeopleRule(20, 5, 10), things)
-    assert kept[60, 130] == 255 and not kept[:, :80].any()
-    thing_alone = np.where(things > 0, mask, 0).astype(np.uint8)
-    assert keep_people(thing_alone, PeopleRule(20, 5, 10), things)[60, 30] == 255
-
-
 def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
     locator = ForegroundLocator((40, 64), 10.0, 1)
     locator.dense[:] = 0
@@ -284,8 +252,8 @@ def test_pictures_finer_than_the_hull_are_looked_at_in_half_of_the_size(scene, c
     image = cv2.resize(scene.with_person(scene.empty(1, seed=7, colour=colour)[0]), None, fx=3, fy=3)
     pipeline = SilhouettePipeline(camera, model, SilhouetteSettings(), volume=near)
     found = pipeline.run(image)
-    assert pipeline.scale == 2 and found.image_mask.shape == truth.shape == pipeline.background_pixels.shape
+    assert pipeline.scale == 2 and found.image_mask.shape == truth.shape
     assert found.mask.shape == camera.undistorted_view().image_shape
-    person, around = (found.image_mask == 255).astype(np.uint8), np.ones((5, 5), np.uint8)
+    person, around = (found.image_mask > SHADOW_CANDIDATE).astype(np.uint8), np.ones((5, 5), np.uint8)
     inner, outer = cv2.erode(truth.astype(np.uint8), around), cv2.dilate(truth.astype(np.uint8), around)
     assert ((inner > person) | (person > outer)).sum() < 0.005 * truth.sum()  # two pixels beside the outline at most

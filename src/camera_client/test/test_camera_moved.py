@@ -107,7 +107,7 @@ def test_bumped_camera_is_named_in_the_third_look_with_pixels_degrees_and_remedy
     bumped = [picture(frame=f, turn_deg=(0, 1.0, 0.5)) for f in range(3)]
     assert watched(watch, bumped[:1], 3).state is MovementState.STILL  # one bad picture is no movement
     movement = watched(watch, bumped[1:], 4)
-    assert movement.state is MovementState.MOVED and movement.severe
+    assert movement.state is MovementState.MOVED
     assert np.hypot(*movement.shift_px) == pytest.approx(camera.K[0, 0] * np.tan(np.radians(1.0)), rel=0.1)
     assert movement.turned_deg == pytest.approx(0.5, abs=0.05)
     text = movement.describe("cam03")
@@ -201,13 +201,12 @@ def test_chain_names_the_bumped_camera_while_its_silhouette_floods_and_after_it_
     assert result.movement.state is MovementState.MOVED and result.movement.swing_deg == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("turn_rad", "severe", "level"), [(0.02, True, Level.ERROR), (0.005, False, Level.WARN)])
-def test_diagnostics_tell_of_the_movement_with_a_level_by_its_size(turn_rad, severe, level):
+def test_diagnostics_tell_of_the_movement_as_an_error_with_figures():
     camera = studio_camera()
-    movement = Movement(MovementState.MOVED, np.array([turn_rad, 0, 0]), np.array([0.0, -5.0]), 0.6, severe)
+    movement = Movement(MovementState.MOVED, np.array([0.02, 0, 0]), np.array([0.0, -5.0]), 0.6)
     result = FrameResult(camera, (), movement=movement)
-    told, text = assess(CameraState(GrabState.RUNNING).with_result(result))
-    assert told is level and text == movement.describe(camera.name)
+    told = assess(CameraState(GrabState.RUNNING, result=result))
+    assert told == (Level.ERROR, movement.describe(camera.name))
     values = frame_values(Frame(picture(), 1, 1, "a test"), result)
     assert values["camera_shift_px"] == 5.0 and values["camera_turn_deg"] == 0.0
     assert values["camera_moved"] == "was moved"

@@ -12,7 +12,6 @@ from camera_pictures import iou
 from camera_probe import EPOCH_NS, FRAMES, NAMESPACE, set_camera_info
 from diagnostic_msgs.msg import DiagnosticArray
 from node_probe import FAILURE, SUCCESS
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 
 from camera_client.background.model import load_background
@@ -123,18 +122,6 @@ def test_camera_keeps_the_exposures_that_the_hull_server_tells_it(bench, session
     assert camera.values()["frames_thinned"] == str(FRAMES - len(camera.masks))
 
 
-def test_suspended_node_publishes_nothing_and_cleanup_lets_it_configure_again(bench, session):
-    camera = bench(**session.parameters)
-    assert camera.node.trigger_configure() == SUCCESS
-    assert camera.node.trigger_cleanup() == SUCCESS
-    camera.start()
-    camera.until(lambda: len(camera.masks) == FRAMES)
-    assert camera.node.trigger_deactivate() == SUCCESS
-    assert camera.node.trigger_cleanup() == SUCCESS
-    assert camera.node.source is None
-    camera.until(lambda: camera.peer.count_publishers(f"{NAMESPACE}/camera_info") == 0)
-
-
 def test_background_is_learned_live_saved_used_and_taken_again_at_the_next_start(bench, session, scene):
     parameters = {**session.parameters, "background_frames": 20, "footage.rate": 1.0, "footage.loop": True}
     parameters["footage.path"] = scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))
@@ -242,28 +229,10 @@ def test_configure_fails_with_a_clear_error(bench, session, scene, changed, text
     assert camera.node.source is None
 
 
-def test_failed_configure_can_be_mended_by_setting_the_parameter(bench, session):
-    camera = bench(**{**session.parameters, "background": "/nowhere/bg.npz"})
-    assert camera.node.trigger_configure() == FAILURE
-    camera.node.set_parameters([Parameter("background", value=session.parameters["background"])])
-    camera.start()
-    camera.until(lambda: len(camera.masks) == FRAMES)
-
-
 def calibrated(camera):
     """Another calibration of the same camera: longer lens, some distortion."""
     K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
     return replace(camera, K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
-
-
-def test_intrinsics_of_the_camera_info_file_replace_those_of_the_rig(bench, session, scene):
-    wanted = calibrated(scene.camera())
-    save_camera_info(session.folder / "info.yaml", wanted)
-    camera = bench(**{**session.parameters, "camera_info_file": str(session.folder / "info.yaml")}).start()
-    camera.until(lambda: camera.heard["camera_info"])
-    info, canvas = camera.heard["camera_info"][0], wanted.undistorted_view().camera
-    assert (info.width, info.height) == (canvas.width, canvas.height)
-    assert np.allclose(np.reshape(info.k, (3, 3)), canvas.K) and not any(info.d)
 
 
 def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session, scene):
@@ -284,6 +253,9 @@ def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session
     assert decode_silhouette(camera.masks[2], canvas.width, canvas.height, "test").any()
     saved = load_camera_info(path, scene.camera())
     assert np.array_equal(saved.K, wanted.K) and np.array_equal(saved.D, wanted.D)
+    assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
+    assert camera.node.trigger_configure() == SUCCESS  # what was saved replaces the rig's
+    assert np.array_equal(camera.node.processor.camera.K, wanted.K)
 
 
 def test_set_camera_info_that_does_not_fit_changes_nothing(bench, session, scene):

@@ -8,12 +8,10 @@ from camera_pictures import change_of
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.background.noise import assumed_noise
 from camera_client.settings import SilhouetteSettings
-from camera_client.silhouettes.attenuation import AttenuationMarker
 from camera_client.silhouettes.masks import Box, trim_outline
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from camera_client.silhouettes.shadows import Scene
-from camera_client.silhouettes.texture import shadow_sums
-from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, attenuation_step, candidate_level
+from camera_client.silhouettes.shadows import AttenuationMarker, Scene
+from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, candidate_level
 
 ALL = Box(0, 0, 120, 160)
 
@@ -68,13 +66,6 @@ def test_a_box_of_the_image_gives_what_the_whole_image_gives(scene):
         assert np.array_equal(part, whole[box.slices])
 
 
-def test_every_ratio_has_the_degree_between_its_edges():
-    for ratio in np.linspace(0.0, 1.3, 400):
-        degree = attenuation_step(ratio)
-        assert (degree is None) == (ratio < ATTENUATION_EDGES[0] or ratio >= ATTENUATION_EDGES[-1])
-        assert degree is None or ATTENUATION_EDGES[degree] <= ratio < ATTENUATION_EDGES[degree + 1]
-
-
 def test_only_marking_sends_degrees_and_the_person_is_the_same_in_all_modes(scene):
     frame = scene.with_person(scene.empty(1, seed=7)[0])
     frame[(scene.person_mask() > 0) & (np.arange(160) >= 80)] = 70  # dark trousers
@@ -104,24 +95,3 @@ def test_untrimmed_outline_is_left_alone_and_thin_limbs_survive():
     mask = np.where(image < 100, np.uint8(255), np.uint8(0))
     assert np.array_equal(trim_outline(mask, change_of(image, mean), 0.3, colour=False), mask)
     assert np.array_equal(trim_outline(mask, change_of(image, mean), 0.3, colour=True), mask)
-
-
-def test_compiled_shadow_sums_equal_those_of_whole_images():
-    rng, window, block = np.random.default_rng(0), 5, 4
-    for height, width in ((60, 84), (61, 83)):
-        image = rng.integers(30, 200, (height, width), dtype=np.uint8)
-        expected = np.clip(image * 1.3 + rng.normal(0, 5, image.shape), 0, 255).astype(np.float32)
-        mask = np.where(rng.random(image.shape) < 0.7, 255, 0).astype(np.uint8)
-        mask[:20] = 0
-        around, M = (cv2.blur(v.astype(np.float32), (window, window)) for v in (image, expected))
-        a = around / M
-        dark = (a >= 0.4) & (a <= 0.97) & (mask > 0)
-        detail, texture = image - around, a * (expected - M)
-        parts = [np.ones_like(a), (detail - texture) ** 2, detail * texture, texture**2]
-        found, sums = shadow_sums(image, expected, mask, window, block, 0.4, 0.97)
-        assert np.array_equal(found > 0, dark[::2, ::2])
-        for part, got in zip(parts, sums, strict=True):
-            kept = np.pad(np.where(dark, part, 0)[::2, ::2], ((0, -(-height // 2) % 2), (0, -(-width // 2) % 2)))
-            down, across = kept.shape
-            blocks = 4 * kept.reshape(down // 2, 2, across // 2, 2).sum(axis=(1, 3))
-            np.testing.assert_allclose(got, blocks, rtol=2e-3, atol=0.05)

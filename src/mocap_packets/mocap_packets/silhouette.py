@@ -14,14 +14,13 @@ Mask = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """What a camera sees of the person. Only ``mask``, camera and stamp travel on, as a PNG of few levels.
+    """What a camera sees of the person. Only ``mask`` travels on, as a PNG of few levels.
 
     mask : (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, 47 uncertain, up to 127 most likely a
         shadow, between them person or shadow (see `capture_rig.mask_levels`).
-    image_mask : (H, W) in the camera's own pixels, of 255, 0 and 127 only.
-    foreground_fraction, candidate_fraction : the shares of the image that are 255 and 127 there.
+    image_mask : (H, W) the same levels in the camera's own pixels.
+    foreground_fraction, candidate_fraction : the shares of the image that are the person, and shadow candidates.
     flags : may hold "empty" or "full": such a mask is what was seen, and probably not a person.
-    camera, stamp_ns : whose image it was, and when it was captured, where that is known.
     """
 
     mask: Mask
@@ -29,8 +28,6 @@ class Silhouette:
     foreground_fraction: float
     flags: tuple[str, ...]
     candidate_fraction: float = 0.0
-    camera: str = ""
-    stamp_ns: int | None = None
 
     @property
     def person(self) -> Mask:

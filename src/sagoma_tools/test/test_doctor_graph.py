@@ -168,8 +168,8 @@ REFUSED = unfit(Provenance("camera", 100, 1.5, camera_serial="S1"), {"camera_ser
     "told, severity, code, value",
     [
         (REFUSED, "ERROR", "background.other_camera", "S2"),
-        (CAUSE, "WARNING", "light.brighter", "the light is 40 % brighter than when the background"),
-        (SLIGHT, "NOTE", "light.brighter", "12 % brighter"),
+        (CAUSE, "WARNING", "light.level", "the light has changed by +40 %"),
+        (SLIGHT, "NOTE", "light.level", "+12 %"),
     ],
 )
 def test_cause_that_a_client_names_is_told_once_with_its_code_and_remedy(told, severity, code, value):

@@ -304,16 +304,8 @@ class FixedBackground:
         self._limits, self._mean = model.limits(settings), model.mean
         typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
         channels = 1 if model.mean.ndim == 2 else 3
-        noise = assumed_noise(typical, channels)
-        self.state = BackgroundState(Light.unchanged(channels), noise, noise, Displacement(), 0.0, 0.0)
-
-    @property
-    def light(self) -> Light:
-        return self.state.light
-
-    @property
-    def noise(self) -> Noise:
-        return self.state.noise
+        self.light, self.noise = Light.unchanged(channels), assumed_noise(typical, channels)
+        self.state = BackgroundState(self.light, self.noise, self.noise, Displacement(), 0.0, 0.0)
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Follow nothing."""
@@ -323,7 +315,7 @@ class FixedBackground:
 
     def distance(self, image: Image, samples: Samples) -> Mask:
         """Return 0 (H, W) where the image keeps the limits of 6.3, else 255."""
-        return self._limits.subtract(image)
+        return self._beyond(image)
 
     def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
         """Return a part of the background, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8: 0 where the image
@@ -332,4 +324,8 @@ class FixedBackground:
         at = slice(top, bottom), slice(left, right)
         change = cv2.absdiff(image[at], cv2.convertScaleAbs(self._mean[at]))
         change = change if change.ndim == 2 else change.max(axis=2)
-        return self._mean[at], np.stack([self._limits.subtract(image, at), change])
+        return self._mean[at], np.stack([self._beyond(image, at), change])
+
+    def _beyond(self, image: Image, at: tuple[slice, slice] = (slice(None), slice(None))) -> Mask:
+        lo, hi = self._limits
+        return cv2.bitwise_not(cv2.inRange(image[at], lo[at], hi[at]))

@@ -10,14 +10,13 @@ from __future__ import annotations
 import datetime
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from string import Formatter
 from typing import Any
 
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 
-from ..gige.features import FLOAT_TOLERANCE
 from .light import MOST_GAIN
 from .model import Provenance
 
@@ -28,23 +27,13 @@ GRADES = (GOOD, USABLE, REDO)
 NEVER = math.inf
 
 
-class _Words(Formatter):
-    """Words with figures in braces; {share:.1%} is a share in percent."""
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        if format_spec.endswith("%"):
-            return f"{100 * value:{format_spec[:-1]}f} %"
-        return str(super().format_field(value, format_spec))
-
-
 @dataclass(frozen=True)
 class Cause:
     """One thing that may be wrong.
 
-    code : "ABOUT.CONDITION". words : with figures in braces. figure : the name of the one that is judged. limits :
-    beyond which it is worth knowing (GOOD), costs silhouettes (USABLE), makes the background useless (REDO); those that
-    are missing are never reached. severe : the remedy from USABLE on, where that is another. unless : code of a cause
-    that says more.
+    code : "ABOUT.CONDITION". words : with figures in braces, shares as percents. figure : the name of the one that is
+    judged. limits : beyond which it is worth knowing (GOOD), costs silhouettes (USABLE), makes the background useless
+    (REDO); those that are missing are never reached. severe : the remedy from USABLE on, where that is another.
     """
 
     code: str
@@ -53,7 +42,6 @@ class Cause:
     figure: str
     limits: tuple[float, ...]
     severe: str = ""
-    unless: str = ""
 
     def judge(self, figures: Mapping[str, Any]) -> Finding | None:
         """Return the finding; None where the figure is within the limits, or was not measured."""
@@ -61,20 +49,20 @@ class Cause:
         if value is None or not value > min(self.limits):
             return None
         grade = max(grade for grade, limit in enumerate(self.limits) if value > limit)
-        remedy = self.severe if self.severe and grade else self.remedy
-        return Finding(GRADES[grade], _Words().format(self.words, **figures), remedy, self.code)
+        what = re.sub(r"(?<=\d)%", " %", self.words.format(**figures))
+        return Finding(GRADES[grade], what, self.severe if self.severe and grade else self.remedy, self.code)
 
 
-def cause(words: str, remedy: str, severe: str = "", unless: str = "", **limits: tuple[float, ...]) -> Cause:
+def cause(words: str, remedy: str, severe: str = "", **limits: tuple[float, ...]) -> Cause:
     """Return a row of the list: "CODE: words", and the limits of the figure that is judged under its name."""
     ((figure, beyond),) = limits.items()
     code, _, words = words.partition(": ")
-    return Cause(code, words, remedy, figure, beyond, severe, unless)
+    return Cause(code, words, remedy, figure, beyond, severe)
 
 
-# Limits: noise_error from the noise of a standard deviation, 1/sqrt(2 (n - 1)) of 25 frames; light_brighter, _darker
-# from what is exposed to 200 of 255 grey levels and turns white; displacement_px from an edge of 50 grey levels;
-# unexplained_foreground, restless_foreground from a person's share of the picture; turn_deg as camera_moved.limit_deg;
+# Limits: noise_error from the noise of a standard deviation, 1/sqrt(2 (n - 1)) of 25 frames; light_times from
+# what is exposed to 200 of 255 grey levels and turns white; displacement_px from an edge of 50 grey levels;
+# unexplained_foreground from a person's share of the picture; turn_deg as camera_moved.limit_deg;
 # else chosen with the rooms of test_camera_background_verdict.py, test_camera_condition.py.
 CAUSES = (
     # a background that was learned
@@ -82,22 +70,15 @@ CAUSES = (
     cause(
         "levels.white: {white_share:.0%} of the image is white",
         "shorten the exposure or lower the gain",
-        unless="levels.black",
         white_share=(NEVER, 0.02, 0.3),
     ),
     cause(
         "levels.dim: the image is dim, {level:.0f} grey levels on the median",
         "lengthen the exposure, open the iris, or add light",
-        unless="levels.black",
         dim_by=(NEVER, 0),
     ),
     cause(
-        "training.few_frames: a single picture does not tell the noise, which is assumed",
-        "set background_frames to 100",
-        single=(NEVER, 0),
-    ),
-    cause(
-        "training.few_frames: {frames} frames measure the noise to {noise_error:.0%} only",
+        "training.few_frames: too few pictures to measure the noise: {frames}",
         "set background_frames to 100",
         noise_error=(NEVER, 0.1444),
     ),
@@ -129,20 +110,9 @@ CAUSES = (
     ),
     # a background in use: the room
     cause(
-        "room.endless: more of the room has changed than may become background",
-        f"{REMEDY}; is another room before the camera?",
-        things_endless=(NEVER, 0),
-    ),
-    cause(
-        "room.restless: {restless_foreground:.1%} of the picture keeps changing where no other camera sees anybody",
-        "switch screens and fans off, draw curtains, close doors, or turn the camera: it is never learned",
-        restless_foreground=(NEVER, 0.005),
-    ),
-    cause(
         "room.unexplained: {unexplained_foreground:.1%} of the picture differs from the background and is not the "
         "person",
-        f"other people out of the picture; for things that moved {REMEDY}",
-        unless="room.restless",
+        f"switch screens and fans off; other people out of the picture; for things that moved {REMEDY}",
         unexplained_foreground=(0.005, 0.02),
     ),
     cause(
@@ -151,34 +121,13 @@ CAUSES = (
         severe=REMEDY,
         things_share=(0, 0.2),
     ),
-    cause(
-        "background.static: something has been in the picture for 5 minutes without moving: {background_static_places}",
-        f"take it away, or {REMEDY}",
-        background_static_foreground=(NEVER, 0.01),
-    ),
     cause("background.old: the background is {age_h:.0f} h old", REMEDY, age_over_h=(NEVER, 0)),
     # ... its light
     cause(
-        "light.brighter: the light is {light_brighter:.0%} brighter than when the background was learned",
+        "light.level: the light has changed by {light_change:+.0%} since the background was learned",
         "it is followed: nothing is to be done",
         severe=f"it is followed, but white and black places are lost, and noise grows: {REMEDY}",
-        light_brighter=(0.05, 0.25),
-    ),
-    cause(
-        "light.darker: the light is {light_darker:.0%} darker than when the background was learned",
-        "it is followed: nothing is to be done",
-        severe=f"it is followed, but white and black places are lost, and noise grows: {REMEDY}",
-        light_darker=(0.05, 0.2),
-    ),
-    cause(
-        "light.colour: the light has another colour than when the background was learned: {light_colours}",
-        "it is followed; switch automatic white balance off",
-        light_tint=(0.05,),
-    ),
-    cause(
-        "light.uneven: the light changed by {light_unevenness:.0%} more in some places than in others",
-        "it is followed as far as it is smooth: a lamp was moved or switched, or the sun came in",
-        light_unevenness=(0.1,),
+        light_times=(0.05, 0.25),
     ),
     cause(
         "light.unsteady: the light changed suddenly {light_switches_recent} times in half a minute",
@@ -186,22 +135,11 @@ CAUSES = (
         light_switches_recent=(NEVER, 2),
     ),
     cause(
-        "light.switched: the lights were switched just now",
-        "it is followed",
-        unless="light.unsteady",
-        light_switches_recent=(0,),
-    ),
-    cause(
         "light.flicker: the light flickers by {light_flicker:.1%}",
         f"it is followed; better {MAINS}",
         light_flicker=(0.01, 0.05),
     ),
     # ... noise, place, and the person
-    cause(
-        "noise.higher: the noise is {noise_levels:.1f} grey levels, {noise_times:.1f} times what was learned",
-        "a higher bit rate, less gain, more light",
-        noise_times=(2.0,),
-    ),
     cause(
         "noise.high: the noise is high, {noise_levels:.1f} grey levels on the median",
         "lower the gain and add light; a higher bit rate; check that the camera stands firm",
@@ -229,20 +167,12 @@ CAUSES = (
         "other clothes, more light, or a cloth of another brightness behind",
         person_faint=(NEVER, 0.25),
     ),
-    cause(
-        "shadow.large: {shadow_share:.0%} of the foreground was taken for shadow, {maybe_shadow:.0%} of the person may "
-        "be",
-        "softer light from more sides, or a paler floor; see whether legs are in the mask (docs/silhouettes.md)",
-        most_shadow=(0.6,),
-    ),
 )
 
 
 def find_causes(figures: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Return what the figures say, the worst first; () when nothing is wrong."""
-    found = [(each, finding) for each in CAUSES if (finding := each.judge(figures)) is not None]
-    codes = {finding.code for _, finding in found}
-    return worst_first(finding for each, finding in found if each.unless not in codes)
+    return worst_first(finding for each in CAUSES if (finding := each.judge(figures)) is not None)
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -263,10 +193,7 @@ def read_findings(text: str) -> tuple[Finding, ...]:
         return ()
 
 
-# --- where a background comes from: another camera or setting, long ago
-
-UNITS = {"exposure_us": " us", "gain": ""}
-OTHER_SETTING = "background.exposure", "background.gain"  # codes of :func:`other_setting`, in the order of UNITS
+# --- where a background comes from: another camera or exposure, long ago
 
 
 def age_h(provenance: Provenance, now_s: float) -> float | None:
@@ -292,25 +219,6 @@ def unfit(provenance: Provenance, camera: Mapping[str, str]) -> Finding | None:
         what = f"the exposure is {now:g} us, the background was learned at {then:g} us: that cannot be corrected"
         return Finding(REDO, what, f"{REMEDY}, or set the exposure back", "background.other_exposure")
     return None
-
-
-def other_setting(provenance: Provenance, camera: Mapping[str, str], corrected: float | None) -> tuple[Finding, ...]:
-    """Return the settings that the background was not learned at; what is unknown of either is not compared.
-
-    camera : the details of the connected source. corrected : by which factor the light is followed now; None where it
-    is not followed.
-    """
-    found = []
-    for (key, unit), code in zip(UNITS.items(), OTHER_SETTING, strict=True):
-        then, now, name = getattr(provenance, key), camera.get(key, ""), code.partition(".")[2]
-        off, size = abs(_number(now) - _number(then)), max(abs(_number(now)), abs(_number(then)), 1.0)
-        if not then or not now or then == now or off <= FLOAT_TOLERANCE * size:
-            continue
-        what = f"the {name} is {now}{unit}, the background was learned at {then}{unit}"
-        if corrected is not None:
-            what += f" (corrected by x {corrected:.2f})"
-        found.append(Finding(USABLE, what, f"{REMEDY}, or set the {name} back", code))
-    return tuple(found)
 
 
 def _number(text: str) -> float:

@@ -64,11 +64,6 @@ class Light:
         """How many times brighter than learned the scene is, all channels together."""
         return float(self.gain.mean())
 
-    @property
-    def unevenness(self) -> float:
-        """Standard deviation of the field: by which share the light's change differs over the picture."""
-        return float(self.field.std())
-
 
 class LightEstimator:
     """Estimates the light from samples of the picture.

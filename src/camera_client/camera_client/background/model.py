@@ -30,7 +30,6 @@ FORMAT = "sagoma background 1"
 NOISIEST = 4.0  # grey levels: no camera is noisier, it moved; of a single still, whose noise is not known, so much is
 # assumed
 SQRT_2_PI = math.sqrt(2 * math.pi)
-WHOLE = (slice(None), slice(None))
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,8 @@ class BackgroundModel:
         """Share of the :attr:`moving_pixels`."""
         return float(self.moving_pixels.mean())
 
-    def limits(self, settings: BackgroundSettings) -> BackgroundLimits:
-        """Return the grey levels that count as background.
+    def limits(self, settings: BackgroundSettings) -> tuple[Image, Image]:
+        """Return the lowest and highest grey level of the background, uint8, shaped as the image; 255, 0 for none.
 
         Thesis 6.3, corrected: a pixel is *foreground* when it is improbable under its background (as printed, the
         sentence calls almost every background pixel foreground). Both rules ask for |g - mu| <= half width, and so
@@ -105,7 +104,11 @@ class BackgroundModel:
         The rule "adaptive" judges distances, not levels; its limits here are those of "tail".
         """
         mean, sigma = self.mean.astype(float), np.maximum(self.sigma.astype(float), settings.sigma_floor)
-        return BackgroundLimits(*whole_limits(mean, half_width(sigma, settings.rule, settings.risk)))
+        half = half_width(sigma, settings.rule, settings.risk)
+        lo, hi = np.ceil(mean - half), np.floor(mean + half)
+        never = (half < 0) | (lo > hi)
+        lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
+        return lo.astype(np.uint8), hi.astype(np.uint8)
 
     def save(self, path: str | Path) -> None:
         """Write an .npz with the arrays and the provenance. Raises InputError when the file cannot be written."""
@@ -114,18 +117,6 @@ class BackgroundModel:
         make_folder(path.parent)
         with replaced_file(path) as file:
             np.savez_compressed(file, mean=self.mean, sigma=self.sigma, about=np.array(about))
-
-
-@dataclass(frozen=True, eq=False)
-class BackgroundLimits:
-    """Lowest and highest grey level of the background, uint8, shaped as the image; lo > hi: never background."""
-
-    lo: Image
-    hi: Image
-
-    def subtract(self, image: Image, at: tuple[slice, slice] = WHOLE) -> Image:
-        """(h, w) uint8: 255 where any channel of a part of the image leaves its limits, else 0."""
-        return cv2.bitwise_not(cv2.inRange(image[at], self.lo[at], self.hi[at]))
 
 
 class BackgroundLearner:
@@ -191,14 +182,6 @@ def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.ND
         return sigma * -NormalDist().inv_cdf(risk / 2)
     log_ratio = np.log(risk * sigma * SQRT_2_PI)
     return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
-
-
-def whole_limits(mean: npt.NDArray, half: npt.NDArray) -> tuple[Image, Image]:
-    """Lowest and highest whole grey level (uint8) within ``half`` of ``mean``; 255 and 0 where there is none."""
-    lo, hi = np.ceil(mean - half), np.floor(mean + half)
-    never = (half < 0) | (lo > hi)
-    lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
-    return lo.astype(np.uint8), hi.astype(np.uint8)
 
 
 def load_background(path: str | Path) -> BackgroundModel:

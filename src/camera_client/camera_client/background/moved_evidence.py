@@ -41,9 +41,15 @@ class SupportHistory:
     """
 
     def __init__(self, camera: CameraModel, block_px: int, most_s: float) -> None:
-        self._cells, self._most_s = CanvasCells(camera, block_px), most_s
-        self.blocks = self._cells.blocks
+        self._most_s = most_s
+        self.blocks = (-(-camera.height // block_px), -(-camera.width // block_px))
         """Blocks down and across the image."""
+        canvas = camera.undistorted_view().camera
+        rows, columns = np.indices(self.blocks).reshape(2, -1) * block_px + (block_px - 1) / 2
+        points = camera.ideal_points(np.stack([columns, rows], axis=1)) * canvas.K.diagonal()[:2] + canvas.K[:2, 2]
+        inside = np.all((points >= -0.5) & (points < [canvas.width - 0.5, canvas.height - 0.5]), axis=1)
+        self._inside = inside.reshape(self.blocks)  # False beyond the lens's reach, too
+        self._pixels = np.rint(np.where(inside[:, None], points, 0.0)).astype(np.intp).reshape(*self.blocks, 2)
         self._reports: deque[ForegroundSupport] = deque()
         self.restart()
 
@@ -61,6 +67,12 @@ class SupportHistory:
         """Take a report, from any thread."""
         self._reports.append(report)
 
+    def levels(self, report: ForegroundSupport) -> npt.NDArray[np.uint8]:
+        """Return the report's level, of the canvas, for each block; UNJUDGED where the canvas does not show it."""
+        last = np.array(report.cells.shape[::-1]) - 1
+        columns, rows = np.moveaxis(np.minimum(self._pixels // report.cell_px, last), 2, 0)
+        return np.where(self._inside, report.cells[rows, columns], np.uint8(UNJUDGED))
+
     def update(self, stamp_ns: int) -> None:
         """Apply the reports that count for frames of ``stamp_ns``."""
         due_ns = stamp_ns - round(APPLY_AFTER_S / NS)
@@ -68,7 +80,7 @@ class SupportHistory:
             report = self._reports.popleft()
             step_s = min(max((report.stamp_ns - self._report_ns) * NS, 0.0), APPLY_AFTER_S)
             self._report_ns = report.stamp_ns
-            levels = self._cells.levels(report)
+            levels = self.levels(report)
             self.unseen_s = counted(self.unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s, self._most_s)
             self.outside_s = counted(self.outside_s, levels == OUTSIDE, step_s, self._most_s)
             self.body_s = counted(self.body_s, levels == BODY, step_s, self._most_s)
@@ -83,26 +95,6 @@ def counted(seconds: Floats, holds: Blocks, step_s: float, most_s: float) -> Flo
     """Count the seconds for which something holds up, to ``most_s``, and the others down, to 0."""
     step = np.where(holds, np.float32(step_s), np.float32(-step_s))
     return np.clip(seconds + step, 0.0, most_s).astype(np.float32)
-
-
-class CanvasCells:
-    """Where the image's blocks lie on the undistorted canvas, of which the reports speak."""
-
-    def __init__(self, camera: CameraModel, block_px: int) -> None:
-        self.blocks = (-(-camera.height // block_px), -(-camera.width // block_px))
-        canvas = camera.undistorted_view().camera
-        rows, columns = np.indices(self.blocks).reshape(2, -1) * block_px + (block_px - 1) / 2
-        points = camera.ideal_points(np.stack([columns, rows], axis=1)) * canvas.K.diagonal()[:2] + canvas.K[:2, 2]
-        inside = np.all((points >= -0.5) & (points < [canvas.width - 0.5, canvas.height - 0.5]), axis=1)
-        self._inside = inside.reshape(self.blocks)  # False beyond the lens's reach, too
-        self._pixels = np.rint(np.where(inside[:, None], points, 0.0)).astype(np.intp).reshape(*self.blocks, 2)
-
-    def levels(self, report: ForegroundSupport) -> npt.NDArray[np.uint8]:
-        """Return the report's level of each block of the image; UNJUDGED where the canvas does not show it."""
-        cells = self._pixels // report.cell_px
-        last = np.array(report.cells.shape[::-1]) - 1
-        columns, rows = np.moveaxis(np.minimum(cells, last), 2, 0)
-        return np.where(self._inside, report.cells[rows, columns], np.uint8(UNJUDGED))
 
 
 # --- the outline of what was taken away

@@ -10,7 +10,6 @@ Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stam
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import cv2
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.stamps import NS, StampThrottle
+from capture_rig.stamps import StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import LASTING_S, Image, Mask
@@ -31,15 +30,11 @@ SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-STILL_S = (
-    LASTING_S  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
-)
+STILL_S = LASTING_S  # nobody sees it, and it keeps still, so long: it is a thing; as learned so long: it is none
 OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
-REST_S = USUAL_S  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
-# also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
+REST_S = USUAL_S  # the picture has come to rest: outlines say enough; also the time constant of the picture that blocks
+# are compared with: slower than sway, faster than daylight
 MOST_BLOBS = 8  # looked at a time: bounds the work
-STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine tenths of the time, is static
-STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
 Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
@@ -52,10 +47,7 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
-    likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
-    absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
-    dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
-    not keep still.
+    absorbed, reverted : how many times things were.
     """
 
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32], scale: int = 1) -> None:
@@ -71,7 +63,6 @@ class MovedThings:
         self._noise = self._learned_sigma = float(np.median(noise))
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
-        self.likely: Mask | None = None
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.reverted = 0
         self._restart()
@@ -85,10 +76,7 @@ class MovedThings:
         self._last_ns = 0
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
-        self._since_ns = np.where(self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0, np.int64(1), np.int64(0))
-        self._overflow_ns: int | None = None
-        self.dynamic_share = 0.0
-        self._static_share = np.zeros(blocks, np.float32)
+        self._absorbed = self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
         self._note_change()
         self._samples = 0
@@ -101,21 +89,6 @@ class MovedThings:
     def share(self) -> float:
         """Share of the picture that is absorbed."""
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
-
-    @property
-    def overflowed(self) -> bool:
-        """Whether more moved in the last seconds than may be absorbed."""
-        return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= STILL_S / NS
-
-    @property
-    def static(self) -> Blocks:
-        """Blocks (h, w), of ``block_px`` pixels of the camera, in which foreground has not moved for STATIC_S."""
-        return np.asarray(self._static_share > ALWAYS)
-
-    @property
-    def newest_ns(self) -> int:
-        """Stamp at which the newest thing was absorbed; 0 without one."""
-        return int(self._since_ns.max())
 
     @property
     def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
@@ -186,18 +159,12 @@ class MovedThings:
         shown = self._blocks_of(unexplained) >= BLOCK_SHARE
         self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
         self._follow(samples, step_s)
-        static = shown & (self._still_s > 0)
-        self._static_share += np.float32(-np.expm1(step_s * STATIC_RATE)) * (static - self._static_share)
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
-        doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= REST_S)
-        self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
-        self._absorb(shown, image, look, stamp_ns)
-        nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
-        self.dynamic_share = float((shown & nobody & (self._shown_s >= REST_S)).mean())
+        self._absorb(shown, image, look)
 
     # --- what keeps still
 
@@ -216,38 +183,32 @@ class MovedThings:
 
     # --- absorbing
 
-    def _absorb(self, shown: Blocks, image: Image, look: Look, stamp_ns: int) -> None:
+    def _absorb(self, shown: Blocks, image: Image, look: Look) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
-        body, unseen, calm = shown & (self._others.body_s > 0), *self._is_unseen(shown)
+        rest_s = np.where(self._others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
+        calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
+        body, unseen = shown & (self._others.body_s > 0), calm & (self._others.unseen_s >= STILL_S)
         if unseen.any():
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
                 nobody = (blob & unseen).sum() >= MAJORITY * blob.sum()
                 if keeps_still and nobody and (blob & body).sum() <= (1 - WHOLE) * blob.sum():
-                    self._take_over(image, blob & unseen, stamp_ns)
+                    self._take_over(image, blob & unseen)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
         if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
             # a person beside the place hides a part of the outline; without her first, then bodies that may be none
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
                 if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, look):
-                    self._take_over(image, blob, stamp_ns)
+                    self._take_over(image, blob)
                     self._gone |= blob
-
-    def _is_unseen(self, shown: Blocks) -> tuple[Blocks, Blocks]:
-        """Return the blocks whose foreground nobody else has seen for long enough, and all those that kept still."""
-        rest_s = np.where(self._others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
-        calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
-        return calm & (self._others.unseen_s >= STILL_S), calm
 
     def _was_taken_away(self, blob: Blocks, whole: Image, look: Look) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
-        x, y, width, height = cv2.boundingRect(cv2.dilate(blob.astype(np.uint8), np.ones((5, 5), np.uint8)))
-        top, left = y * BLOCK_PX, x * BLOCK_PX
-        bottom, right = (
-            min((k + n) * BLOCK_PX, most) for k, n, most in zip((y, x), (height, width), self._shape, strict=True)
-        )
+        wide, beside = (cv2.dilate(blob.astype(np.uint8), np.ones((side, side), np.uint8)) for side in (5, 3))
+        left, top, width, height = cv2.boundingRect(self._to_pixels(wide))
+        bottom, right = top + height, left + width
         part = slice(top, bottom), slice(left, right)
-        near = self._to_pixels(cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[part]
+        near = self._to_pixels(beside)[part] > 0
         background, foreground = look(whole, (top, left, bottom, right))
         image = whole[part]
         self.clear_absorbed(whole, foreground, self._brightness, box=(top, left, bottom, right))
@@ -257,16 +218,15 @@ class MovedThings:
         nobody = (self._others.unseen_s[blob] >= REST_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
-    def _take_over(self, image: Image, blob: Blocks, stamp_ns: int) -> None:
+    def _take_over(self, image: Image, blob: Blocks) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= REST_S) & (self._others.body_s <= 0))
-        if np.count_nonzero(blocks | (self._since_ns > 0)) > MAJORITY * blocks.size:
-            self._overflow_ns = stamp_ns
+        if np.count_nonzero(blocks | self._absorbed) > MAJORITY * blocks.size:
             return
         pixels = self._to_pixels(blocks)
         self.mean[pixels], self.replaced[pixels] = image[pixels] / self._brightness, 255
-        self._since_ns[blocks], self._learned_s[blocks] = stamp_ns, 0.0
+        self._absorbed[blocks], self._learned_s[blocks] = True, 0.0
         self.absorbed += 1
         self._note_change()
 
@@ -278,7 +238,7 @@ class MovedThings:
         unlike_learned : blocks that differ from what was learned. unexplained : those that also differ from what was
         absorbed.
         """
-        absorbed = self._since_ns > 0
+        absorbed = self._absorbed
         matched = absorbed & unlike_learned & ~unexplained
         self._learned_s = np.where(absorbed & ~unlike_learned, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
@@ -287,7 +247,7 @@ class MovedThings:
         self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():
-            self._since_ns[back], self._gone[back] = 0, False
+            self._absorbed[back] = self._gone[back] = False
             self.replaced[self._to_pixels(back)] = 0
             self.reverted += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
             self._note_change()

@@ -24,10 +24,7 @@ LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs 
 MOST_VARIANCE = (WITHIN_NOISE * NOISIEST) ** 2  # a room that seems noisier must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
-TAIL_SHARE, TAIL_SIGMAS = (
-    0.95,
-    1.96,
-)  # a normal distribution has so much within so many sigmas; codecs change whole blocks
+TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # of a normal distribution so much lies within so many; codecs change whole blocks
 TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
 MOST_TAIL = 2.5
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
@@ -104,13 +101,10 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     channels = level.shape[1]
     noise = Noise(*_fit(level, (HALF_MEDIAN * rest) ** 2, FRAME_BINS))
     scaled = rest / np.sqrt(noise.variance(level))
-    tail = 1.0
     if foreground_known:
-        size = np.abs(scaled).reshape(-1)
-        nearest = round(TAIL_SHARE * (len(size) - 1))
-        beyond = float(np.partition(size, nearest)[nearest]) / TAIL_SIGMAS - TAIL_ALLOWED
-        tail = min(max(beyond, 1.0), MOST_TAIL)
-    noise = Noise(noise.read * tail**2, noise.slope * tail**2)
+        beyond = float(np.quantile(np.abs(scaled), TAIL_SHARE, method="nearest")) / TAIL_SIGMAS - TAIL_ALLOWED
+        tail2 = min(max(beyond, 1.0), MOST_TAIL) ** 2
+        noise = Noise(noise.read * tail2, noise.slope * tail2)
     if channels == 1:
         return noise
     total = np.abs(scaled.sum(axis=1), dtype=np.float32)

@@ -67,21 +67,6 @@ class TrainingReport:
             raise ValueError(f"no report of a background training: {error}") from None
 
 
-@dataclass(frozen=True, eq=False)
-class TrainingRequest:
-    """Learn from the next ``frames`` images of the source described as ``source``.
-
-    file : where to save the background; "" for nowhere. before : the background in use, which it replaces.
-    about : further fields of the new background's provenance.
-    """
-
-    frames: int
-    source: str
-    file: str = ""
-    before: BackgroundModel | None = None
-    about: Mapping[str, str] = field(default_factory=dict)
-
-
 class BackgroundTrainer:
     """Runs one background training at a time; every request gets exactly one report.
 
@@ -104,22 +89,34 @@ class BackgroundTrainer:
     def progress(self) -> str:
         """Frames taken and wanted by the training under way, "57/100"; "" without one."""
         running = self._running
-        return "" if running is None else f"{running.learner.frames}/{running.request.frames}"
+        return "" if running is None else f"{running.learner.frames}/{running.frames}"
 
-    def begin(self, request: TrainingRequest) -> Future[TrainingReport]:
-        """Learn from the next frames. Raises InputError while another training is under way."""
+    def begin(
+        self,
+        frames: int,
+        source: str,
+        file: str = "",
+        before: BackgroundModel | None = None,
+        about: Mapping[str, str] | None = None,
+    ) -> Future[TrainingReport]:
+        """Learn from the next ``frames`` images of what is described as ``source``. Raises InputError while another
+        training is under way.
+
+        file : where to save the background; "" for nowhere. before : the background in use, which it replaces.
+        about : further fields of the new background's provenance.
+        """
         with self._lock:
             if self._running is not None:
                 raise InputError("learning already", remedy="Wait for its end.")
             self._number += 1
-            self._running = _Training(self._number, request)
+            self._running = _Training(self._number, frames, source, file, before, about or {})
             return self._running.over
 
     def add(self, image: Image) -> None:
         """Learn from one more frame (H, W) or (H, W, 3); the last one ends the training."""
         if self._running is None:
             return
-        error: InputError | None = None
+        error = ""
         with self._lock:
             running = self._running
             if running is None:
@@ -127,27 +124,26 @@ class BackgroundTrainer:
             try:
                 running.learner.add(image)
             except InputError as unfit:
-                error = unfit
-            if error is None and running.learner.frames < running.request.frames:
+                error = str(unfit)
+            if not error and running.learner.frames < running.frames:
                 return
             self._running = None
-        running.over.set_result(self._conclude(running) if error is None else running.report(str(error)))
+        running.over.set_result(running.report(error) if error else self._conclude(running))
 
     def cancel(self, reason: str) -> None:
         """End the training under way, if any, because no more frames come."""
         with self._lock:
             running, self._running = self._running, None
         if running is not None:
-            taken = f"{running.learner.frames} of {running.request.frames} frames"
+            taken = f"{running.learner.frames} of {running.frames} frames"
             running.over.set_result(running.report(f"{reason} after {taken}"))
 
     def _conclude(self, training: _Training) -> TrainingReport:
         """Judge, use and save what was learned."""
-        request, model = training.request, None
-        findings: tuple[Finding, ...] = ()
+        model, findings = None, tuple[Finding, ...]()
         try:
-            model = training.learner.model(request.source, software=SOFTWARE, **request.about)
-            verdict = judge_background(model, training.learner.brightness, request.before)
+            model = training.learner.model(training.source, software=SOFTWARE, **training.about)
+            verdict = judge_background(model, training.learner.brightness, training.before)
             model, findings = model.with_provenance(verdict=str(verdict)), verdict.findings
             if verdict.grade == REDO:
                 return training.report(describe_background(model), model, findings)
@@ -157,21 +153,27 @@ class BackgroundTrainer:
             return training.report(text, model, findings)
         findings += turn_findings(used.provenance)
         text, saved = describe_background(used), ""
-        if request.file:
+        if training.file:
             try:
-                used.save(request.file)
-                text, saved = f"{text}; saved to {request.file}", request.file
+                used.save(training.file)
+                text, saved = f"{text}; saved to {training.file}", training.file
             except InputError as error:
                 text = f"{text}; in use, but not saved: {error}"
         return training.report(text, model, findings, judge(findings).grade, saved)
 
 
+@dataclass(frozen=True, eq=False)
 class _Training:
-    """A training under way."""
+    """A training under way; see :meth:`BackgroundTrainer.begin`."""
 
-    def __init__(self, number: int, request: TrainingRequest) -> None:
-        self.number, self.request = number, request
-        self.learner, self.over = BackgroundLearner(), Future[TrainingReport]()
+    number: int
+    frames: int
+    source: str
+    file: str
+    before: BackgroundModel | None
+    about: Mapping[str, str]
+    learner: BackgroundLearner = field(default_factory=BackgroundLearner)
+    over: Future[TrainingReport] = field(default_factory=Future)
 
     def report(
         self,

@@ -68,24 +68,18 @@ def turn_findings(about: Provenance) -> tuple[Finding, ...]:
 def _picture_figures(model: BackgroundModel) -> dict[str, Any]:
     """Return the figures of the picture itself: exposure, number of frames, movement, noise."""
     frames, level, noise = model.provenance.frames, float(np.median(model.mean)), float(np.median(model.sigma))
-    moved = find_regions(model.moving_pixels)
+    moved, black = find_regions(model.moving_pixels), float(np.percentile(model.mean, 99)) <= BLACK_LEVEL
     figures: dict[str, Any] = {
-        "black": float(np.percentile(model.mean, 99)) <= BLACK_LEVEL,
+        "black": black,
         "white_share": float((model.mean >= WHITE_LEVEL).mean()),
         "level": level,
-        "dim_by": DIM_LEVEL - level,
+        "dim_by": None if black else DIM_LEVEL - level,
         "moved_share": sum(region.share for region in moved),
         "moved_places": describe_regions(moved, model.shape),
         "frames": frames,
-        "single": frames == 1,
+        "noise_error": (2 * (frames - 1)) ** -0.5 if frames > 1 else 1.0,
     }
-    if frames > 1:
-        figures |= {
-            "noise_error": (2 * (frames - 1)) ** -0.5,
-            "noise_levels": noise,
-            "noise_lacking": LOW_NOISE - noise,
-        }
-    return figures
+    return figures if frames == 1 else figures | {"noise_levels": noise, "noise_lacking": LOW_NOISE - noise}
 
 
 def _steadiness_figures(brightness: Sequence[float]) -> dict[str, Any]:

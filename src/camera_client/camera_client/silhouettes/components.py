@@ -21,9 +21,8 @@ from ..frame_source import Mask
 WORD = 8  # pixels that are looked at together
 EMPTY_WORD, FULL_WORD = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
 OUTSIDE = 0  # the component of all background that reaches the mask's border
-KEPT, FAR, ON_THING = 1, 2, 3
+KEPT, FAR = 1, 2
 PERSON_HANDS = PERSON / HAND  # hands, the least area, in a person's
-NOTHING = np.zeros((0, 0), np.uint8)
 
 
 class PeopleRule(NamedTuple):
@@ -40,12 +39,8 @@ class PeopleRule(NamedTuple):
     max_hole_px: float
 
 
-def keep_people(mask: Mask, rule: PeopleRule, things: Mask | None = None) -> Mask:
-    """Return a mask (h, w) of 0 and 255 without specks, far small components and small holes.
-
-    Components that lie mostly on ``things`` (h, w), 255 where foreground is hardly a person, are left out unless there
-    are no others.
-    """
+def keep_people(mask: Mask, rule: PeopleRule) -> Mask:
+    """Return a mask (h, w) of 0 and 255 without specks, far small components and small holes."""
     height, width = mask.shape
     if width % WORD or not mask.flags.c_contiguous:
         padded = np.zeros((height, -(-width // WORD) * WORD), np.uint8)
@@ -54,16 +49,16 @@ def keep_people(mask: Mask, rule: PeopleRule, things: Mask | None = None) -> Mas
     kept = np.zeros((height, width), np.uint8)
     most = height * (width + 1) + 1
     runs, found = np.empty((4, most), np.int32), np.empty((8, most), np.int32)
-    select_components(mask.view(np.uint64), NOTHING if things is None else things, rule, runs, found, kept)
+    select_components(mask.view(np.uint64), rule, runs, found, kept)
     return kept
 
 
 @njit(**OPTIONS, crops=True)
-def select_components(words, things, rule, runs, found, kept):  # type: ignore[no-untyped-def]
+def select_components(words, rule, runs, found, kept):  # type: ignore[no-untyped-def]
     """Write 255 into ``kept`` (h, w), zeros before, where people's components are.
 
-    words (h, n) uint64 : the mask, eight pixels each, zeros beyond its width. things (h, w) or (0, 0). runs (4, m),
-    found (8, m) int32 : work space, of h (w + 1) + 1 columns.
+    words (h, n) uint64 : the mask, eight pixels each, zeros beyond its width. runs (4, m), found (8, m) int32 : work
+    space, of h (w + 1) + 1 columns.
     """
     row, begin, end, root = runs[0], runs[1], runs[2], runs[3]
     solid, area, outer, state = found[0], found[1], found[2], found[3]  # of a component in the place of its first run
@@ -82,7 +77,7 @@ def select_components(words, things, rule, runs, found, kept):  # type: ignore[n
     for k in range(count - 1, OUTSIDE, -1):
         if root[k] == k and outer[k] != OUTSIDE:
             area[outer[k]] += area[k]
-    _choose(count, runs, found, things, rule)
+    _choose(count, solid, root, found, rule)
     # downwards: what a kept component encloses stays; small holes in it are filled, with all that is in them
     for k in range(1, count):
         if root[k] != k:
@@ -163,34 +158,21 @@ def _first(root, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _choose(count, runs, found, things, rule):  # type: ignore[no-untyped-def]
+def _choose(count, solid, root, found, rule):  # type: ignore[no-untyped-def]
     """Write 1 into the state of the components that are people's by their size and place.
 
-    runs, found : the work space of :func:`select_components`.
+    found : the work space of :func:`select_components`.
     """
-    row, begin, end, root = runs[0], runs[1], runs[2], runs[3]
-    solid, area, state, box = found[0], found[1], found[3], found[4:]
-    largest, clear = OUTSIDE, OUTSIDE  # clear: that lies on no thing
+    area, state, box, largest = found[1], found[3], found[4:], OUTSIDE
     for k in range(1, count):
         if root[k] != k or not solid[k] or area[k] < rule.min_area_px:
             continue
-        state[k] = FAR
+        state[k] = KEPT if area[k] >= PERSON_HANDS * rule.min_area_px else FAR
         if largest == OUTSIDE or area[k] > area[largest]:
             largest = k
-        if things.size and _lies_on(k, count, row, begin, end, solid, box, things):
-            state[k] = ON_THING
-        elif clear == OUTSIDE or area[k] > area[clear]:
-            clear = k
-    if clear == OUTSIDE:  # nothing else: the things, then
-        clear = largest
-        for k in range(1, count):
-            state[k] = FAR if root[k] == k and state[k] == ON_THING else state[k]
-    if clear == OUTSIDE:
+    if largest == OUTSIDE:
         return
-    for k in range(1, count):
-        if root[k] == k and state[k] == FAR and area[k] >= PERSON_HANDS * rule.min_area_px:
-            state[k] = KEPT
-    state[clear] = KEPT
+    state[largest] = KEPT
     near = True
     while near:
         near = False
@@ -203,18 +185,6 @@ def _choose(count, runs, found, things, rule):  # type: ignore[no-untyped-def]
                     break
     for k in range(1, count):
         state[k] = KEPT if root[k] == k and state[k] == KEPT else 0
-
-
-@kernel
-def _lies_on(k, count, row, begin, end, solid, box, things):  # type: ignore[no-untyped-def]
-    """Whether more than half of the foreground in a component's bounding box lies on ``things``."""
-    anything = there = 0
-    for run in range(1, count):
-        if solid[run] and box[0, k] <= row[run] < box[2, k]:
-            for x in range(max(begin[run], box[1, k]), min(end[run], box[3, k])):
-                anything += 1
-                there += things[row[run], x] != 0
-    return 2 * there > anything
 
 
 @kernel

@@ -118,18 +118,14 @@ class EvidenceFilter:
 
 
 def least_evidence(sigma: float, noise: Noise) -> float:
-    """Return the evidence z^2 / 2 from which a pixel with ``sigma`` grey levels of noise is rather foreground."""
-    return 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
-
-
-def least_squared_distance(sigma: float, correlation: float, channels: int) -> float:
-    """Return z^2 at which background and foreground are equally likely.
+    """Return the evidence z^2 / 2 from which a pixel with ``sigma`` grey levels of noise is rather foreground.
 
     The background is normal with ``sigma`` grey levels a channel, correlated between channels; the foreground may have
     any of 256 levels: z^2 / 2 = sum over channels of log(256 / (sqrt(2 pi) sigma)) - log(det R) / 2.
     """
+    correlation, channels = noise.correlation, len(noise.read)
     determinant = (1 - correlation) ** (channels - 1) * (1 + (channels - 1) * correlation)
-    return 2 * channels * math.log(256 / (math.sqrt(2 * math.pi) * sigma)) - math.log(determinant)
+    return channels * math.log(256 / (math.sqrt(2 * math.pi) * sigma)) - 0.5 * math.log(determinant)
 
 
 @njit(**OPTIONS, crops=True)

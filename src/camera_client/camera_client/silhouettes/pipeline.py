@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE, UNCERTAIN
 from capture_rig.rig import Volume
 from capture_rig.visibility import may_be_halved, of_shape
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
@@ -34,11 +34,10 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
-from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
-from .shadows import HALVED_NOISE, ColourShadow, FloorShadow, Scene, enlarged
+from .shadows import ALIGNMENT_PX, HALVED_NOISE, AttenuationMarker, ColourShadow, FloorShadow, Scene, enlarged
 from .texture import halve
 
 EMPTY, FULL = "empty", "full"
@@ -56,10 +55,9 @@ class Difference:
     image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
     is from the background, change : in whole grey levels of the channel that differs most. spans : of it that is looked
-    at. likely, nobody : ``likely`` and ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
+    at. nobody : ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
     """
 
-    stamp_ns: int | None
     now_ns: int
     shows_scene: bool
     image: Image
@@ -71,7 +69,6 @@ class Difference:
     closely: Mask
     change: Mask
     spans: Spans
-    likely: Mask | None
     nobody: npt.NDArray[np.bool_] | None
 
 
@@ -79,14 +76,13 @@ class Parts(NamedTuple):
     """What a silhouette was made of, all (h, w) uint8 in a box around all foreground.
 
     distance : SCALE z^2 of each pixel from the background. foreground : all of it, 255; person, shadow : what was made
-    of it, 255. levels : of the person with its attenuation (``capture_rig.mask_levels``).
+    of it, 255.
     """
 
     distance: Mask
     foreground: Mask
     person: Mask
     shadow: Mask
-    levels: Mask
 
 
 class SilhouettePipeline:
@@ -111,7 +107,7 @@ class SilhouettePipeline:
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         whole, given = camera, of_shape(camera, background.shape)
         check_shape(background, (given.height, given.width, *background.shape[2:]), f"camera {camera.name}")
-        self._camera, self._settings, self._frame_shape = camera.name, settings, background.shape
+        self._settings, self._frame_shape = settings, background.shape
         self.image_shape = camera.height, camera.width
         """Of the camera (H, W): as large as masks are."""
         self._undistorter = BoxUndistorter(camera.undistorted_view())
@@ -144,8 +140,6 @@ class SilhouettePipeline:
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
-        self._levels = np.zeros(self._shape[:2], np.uint8)
-        self._image_levels = np.zeros(self.image_shape, np.uint8) if self.scale > 1 else self._levels
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
@@ -159,16 +153,6 @@ class SilhouettePipeline:
         self._untimed_ns = 0
         self._dark_room = is_black(grid_sample(background.mean))
 
-    @property
-    def gain(self) -> float:
-        """How much brighter than learned the scene is now, as far as that is followed; 1 without."""
-        return self.background.light.brightness
-
-    @property
-    def background_pixels(self) -> Mask:
-        """(H, W) 255 where the last frame showed the background, as far as it was looked at, else 0."""
-        return enlarged(self._locator.buffer, self.background.step_px * self.scale, self.image_shape)
-
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
         """Return the silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
 
@@ -179,7 +163,12 @@ class SilhouettePipeline:
 
     def subtract(self, image: Image, stamp_ns: int | None = None) -> Difference:
         """Begin a frame, as :meth:`run` says: follow the background, find where the image differs from it."""
-        self._check(image)
+        if image.shape != self._frame_shape or image.dtype != np.uint8:
+            raise InputError(
+                f"an image of {shape_text(image.shape)} {image.dtype} came, "
+                f"expected {shape_text(self._frame_shape)} uint8",
+                remedy="The camera's region or pixel format has changed; configure again.",
+            )
         self._untimed_ns += round(1e9 / UNTIMED_HZ)
         now_ns = self._untimed_ns if stamp_ns is None else stamp_ns
         image = halve(image) if self._halves else image
@@ -199,40 +188,40 @@ class SilhouettePipeline:
             if self.moved is not None:
                 self.moved.clear_absorbed(image, closely, self.background.light.brightness, box=box)
             scene = Scene(image[box.slices], expected, noise, box.slices)
-        things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
-        known = stamp_ns, now_ns, shows_scene
-        return Difference(*known, image, samples, distance, noise, box, scene, closely, change, spans, *things)
+        nobody = None if self.moved is None else self.moved.seen_by_nobody
+        return Difference(
+            now_ns, shows_scene, image, samples, distance, noise, box, scene, closely, change, spans, nobody
+        )
 
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
         frames may be subtracted on another one meanwhile, which changes nothing."""
         self.parts, box, scene = None, found.box, found.scene
-        if scene is None:
-            nothing = np.zeros((0, 0), np.uint8)
-            canvas = self._canvas_levels(found, nothing, nothing)
-            return self._silhouette(found.stamp_ns, nothing, box, canvas)
-        scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
-        raw = self._decide(found, scene)
-        shadow = self._shadow.shadow(scene, raw) if self._shadow else np.zeros_like(raw)
-        kept = self._keep_person(cv2.subtract(raw, shadow), found)
-        person, cut = self._trim_outline(kept, found.change)
-        marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
-        self.parts = Parts(found.closely, raw, kept, shadow, marked)
-        if self._colours is not None and found.shows_scene:
-            self._colours.learn(found.image, marked, box, found.nobody, found.now_ns)
-        levels = person
-        if self._attenuation is not None:
-            levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        canvas = self._canvas_levels(found, marked, cut)
-        return self._silhouette(found.stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
-
-    def _check(self, image: Image) -> None:
-        if image.shape != self._frame_shape or image.dtype != np.uint8:
-            expected = shape_text(self._frame_shape)
-            raise InputError(
-                f"an image of {shape_text(image.shape)} {image.dtype} came, expected {expected} uint8",
-                remedy="The camera's region or pixel format has changed; configure again.",
-            )
+        levels, cut, whole = np.zeros(self._shape[:2], np.uint8), np.zeros((0, 0), np.uint8), box
+        if scene is not None:
+            scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
+            raw = self._decide(found, scene)
+            shadow = self._shadow.shadow(scene, raw) if self._shadow else np.zeros_like(raw)
+            closed = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, self._closing)
+            kept = keep_people(closed, self._people)
+            person, cut = self._trim_outline(kept, found.change)
+            marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
+            self.parts, levels[box.slices] = Parts(found.closely, raw, kept, shadow), marked
+            if self._colours is not None and found.shows_scene:
+                self._colours.learn(found.image, marked, box, found.nobody, found.now_ns)
+        if self._colours is not None:
+            least = least_evidence(found.noise.sigma(TYPICAL_LEVEL), found.noise)
+            uncertain = self._colours.mark_uncertain(found.samples, found.distance, levels, least, CLEAR * least)
+            whole = box.joined(uncertain)
+        levels, whole = self._in_image(levels, whole, box, cut)
+        canvas = self._undistorter.undistort(levels, whole)
+        person_px, candidate_px = (
+            0 if whole.empty else cv2.countNonZero(cv2.inRange(levels[whole.slices], above + 1, most))
+            for above, most in ((SHADOW_CANDIDATE, FOREGROUND), (UNCERTAIN, SHADOW_CANDIDATE))
+        )
+        fraction = person_px / levels.size
+        flags = (EMPTY,) if fraction < HAND else (FULL,) if fraction > FULL_ABOVE else ()
+        return Silhouette(canvas, levels, fraction, flags, candidate_px / levels.size)
 
     def take_support(self, report: ForegroundSupport) -> None:
         """Take what the other cameras see. From any thread."""
@@ -269,10 +258,6 @@ class SilhouettePipeline:
             return majority(mask)
         return self._evidence.decide(found.closely, found.change, scene, found.spans)
 
-    def _keep_person(self, mask: Mask, found: Difference) -> Mask:
-        mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
-        return keep_people(mask, self._people, None if found.likely is None else found.likely[found.box.slices])
-
     def _trim_outline(self, kept: Mask, change: Mask) -> tuple[Mask, Mask]:
         """Return the person, and which pixels of the image around them, where that is finer, are only background."""
         least = self._settings.outline_contrast
@@ -285,54 +270,19 @@ class SilhouettePipeline:
         fine = trim_outline(kept, change, least, self._colour, self.scale)
         return kept, cv2.subtract(enlarged(kept, self.scale, shape), fine)
 
-    def _in_image(self, box: Box) -> Box:
-        """Return a box of what is looked at in the image's own pixels."""
-        top, left, bottom, right = (self.scale * side for side in box)
-        return Box(top, left, min(bottom, self.image_shape[0]), min(right, self.image_shape[1]))
-
-    def _of_image(self, levels: Mask, box: Box, cut: Mask) -> Mask:
-        """Return the levels of a box in the image's own pixels; ``cut`` : 255 at those that are only background."""
-        if self.scale == 1 or box.empty:
-            return levels
-        (top, left, bottom, right) = self._in_image(box)
-        levels = enlarged(levels, self.scale, (bottom - top, right - left))
-        return cv2.subtract(levels, cut[: bottom - top, : right - left])
-
-    def _canvas_levels(self, found: Difference, marked: Mask, cut: Mask) -> Mask:
-        """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
-        levels, box = self._levels, found.box
-        levels[box.slices], whole = marked, box
-        if self._colours is not None:
-            least = least_evidence(found.noise.sigma(TYPICAL_LEVEL), found.noise)
-            uncertain = self._colours.mark_uncertain(found.samples, found.distance, levels, least, CLEAR * least)
-            whole = box.joined(uncertain)
-        image_levels, whole_image = self._image_levels, self._in_image(whole)
-        if self.scale > 1:
-            shape = whole_image.bottom - whole_image.top, whole_image.right - whole_image.left
-            if whole != box:
-                image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape)
-            image_levels[self._in_image(box).slices] = self._of_image(levels[box.slices], box, cut)
-        canvas = self._undistorter.undistort(image_levels, whole_image)
-        image_levels[whole_image.slices], levels[whole.slices] = 0, 0  # as they were
-        return canvas
-
-    def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
-        """Return the silhouette of the levels (h, w) in a box of the image, and on the canvas."""
-        image_mask = np.zeros(self.image_shape, np.uint8)
-        image_mask[box.slices] = levels
-        anything, person = 0, 0
-        if levels.size:
-            anything = cv2.countNonZero(levels)
-            person = cv2.countNonZero(cv2.inRange(levels, FOREGROUND, FOREGROUND))
-        fraction = person / image_mask.size
-        candidates = (anything - person) / image_mask.size
-        flags = self._flags(fraction)
-        return Silhouette(canvas, image_mask, fraction, flags, candidates, self._camera, stamp_ns)
-
-    def _flags(self, fraction: float) -> tuple[str, ...]:
-        if fraction < HAND:
-            return (EMPTY,)
-        return (FULL,) if fraction > FULL_ABOVE else ()
+    def _in_image(self, levels: Mask, whole: Box, box: Box, cut: Mask) -> tuple[Mask, Box]:
+        """Return levels in the image's own pixels, and the box ``whole`` outside of which they are 0; ``cut`` : 255 at
+        those of ``box`` that are only background."""
+        if self.scale == 1:
+            return levels, whole
+        found, scale = np.zeros(self.image_shape, np.uint8), self.scale
+        whole_fine, fine = (Box(*(scale * side for side in each)).grown(0, self.image_shape) for each in (whole, box))
+        part = found[whole_fine.slices]
+        part[:] = enlarged(levels[whole.slices], scale, part.shape)
+        if not box.empty:
+            part = found[fine.slices]
+            part[:] = cv2.subtract(part, cut[: part.shape[0], : part.shape[1]])
+        return found, whole_fine
 
 
 # --- pictures that are finer than the hull: looked at in half of the size, but for the outlines
@@ -356,13 +306,15 @@ def outline(image: Image, mask: Mask) -> Image:
     """Draw the outlines of a silhouette into its image.
 
     Gives the image (H, W[, 3]), which may come at half size, at half size, BGR, the person's outline green, that of
-    shadow candidates orange. ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`, of two or three
-    levels.
+    shadow candidates orange. ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`.
     """
     if image.shape[:2] != mask.shape:
         image = np.asarray(cv2.resize(image, mask.shape[::-1], interpolation=cv2.INTER_NEAREST))
     shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-    for level, colour in ((SHADOW_CANDIDATE, CANDIDATE_BGR), (FOREGROUND, PERSON_BGR)):
-        contours, _ = cv2.findContours(cv2.inRange(mask, level, level), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    for above, most, colour in (
+        (UNCERTAIN, SHADOW_CANDIDATE, CANDIDATE_BGR),
+        (SHADOW_CANDIDATE, FOREGROUND, PERSON_BGR),
+    ):
+        contours, _ = cv2.findContours(cv2.inRange(mask, above + 1, most), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(shown, contours, -1, colour, LINE_PX)
     return np.asarray(cv2.resize(shown, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))

@@ -1,7 +1,7 @@
 """Checks whether a frame is a picture of the scene at all, on a sparse grid of its pixels.
 
     checks = FrameChecks(background.mean)    # without a background yet: FrameChecks()
-    flags = checks.check(frame.image, frame.stamp_ns, pipeline.gain)    # () for a sound frame
+    flags = checks.check(frame.image, frame.stamp_ns)    # () for a sound frame
     for flag in flags: WARN with REMEDIES[flag]
 
 A flag says what the frame looks like now; it is gone as soon as frames are sound again.
@@ -17,20 +17,17 @@ import numpy.typing as npt
 
 from ..frame_source import Image
 
-DARK, LIGHTS, FROZEN, SATURATED = "dark", "lights", "frozen", "saturated"
+DARK, FROZEN, SATURATED = "dark", "frozen", "saturated"
 REMEDIES = {
     DARK: "the image is black: take the lens cap off, switch the light on, or lengthen the exposure",
-    LIGHTS: "the whole scene changed its brightness: switch the lights back, or learn the background again",
     FROZEN: "the camera sends the same picture again and again: power it off and on",
     SATURATED: "much of the image is white: shorten the exposure, lower the gain, or open less of the iris",
 }
-NO_PICTURE_FLAGS = frozenset({DARK, FROZEN, SATURATED})  # such a frame does not show where the camera stands
 SAMPLES = 2500
 # Thresholds: judgement, no measurement.
 WHITE_LEVEL = 250
 DARK_LEVEL, DARK_SHARE = 16, 0.99  # a frame is dark when so much of it is no brighter than this grey level
 SATURATED_SHARE = 0.2  # a frame is saturated when so much more of it is white than of the background
-LIGHTS_CHANGE = 0.25  # the lights changed when the typical pixel is brighter or darker by this share
 FROZEN_S = 1.0  # a camera is frozen when its picture stays the same for so long
 MIN_REPEATS = 5  # two equal frames and a jump of the clock are no frozen camera
 MIN_LIT_LEVEL = 24  # grey levels; darker backgrounds do not show a change of the lights
@@ -46,47 +43,26 @@ class FrameChecks:
     def __init__(self, background_mean: np.ndarray | None = None, *, may_repeat: bool = False) -> None:
         """``may_repeat`` : footage, whose codec repeats a picture in which nothing moves: it is never frozen."""
         self._may_repeat = may_repeat
-        self._sampled, self._black_share, self._white_share = 0, 0.0, 0.0  # of the background
-        self._lit: npt.NDArray[np.intp] | None = None
+        self._black_share, self._white_share = 0.0, 0.0  # of the background
         if background_mean is not None:
-            self._remember(grid_sample(background_mean).astype(np.float32))
+            background = grid_sample(background_mean)
+            self._black_share = float((background <= 1.5 * DARK_LEVEL).mean())
+            self._white_share = float((background >= WHITE_LEVEL).mean())
         self._checksum: int | None = None
         self._same_since_ns, self._repeats = 0, 0
 
-    def _remember(self, background: npt.NDArray[np.float32]) -> None:
-        self._sampled = len(background)
-        self._black_share = float((background <= 1.5 * DARK_LEVEL).mean())
-        self._white_share = float((background >= WHITE_LEVEL).mean())
-        lit = np.flatnonzero(background >= MIN_LIT_LEVEL)
-        if len(lit):
-            self._lit, self._lit_mean = lit, background[lit]
-
-    def check(self, image: Image, stamp_ns: int, gain: float = 1.0) -> tuple[str, ...]:
-        """Flags of ``image`` (H, W) or (H, W, 3) uint8, taken at ``stamp_ns``: some of the keys of REMEDIES.
-
-        ``gain`` is how much brighter than the background as learned the scene is known to be (slow drift that is
-        followed); only what comes on top of it counts as changed lights.
-        """
+    def check(self, image: Image, stamp_ns: int) -> tuple[str, ...]:
+        """Flags of ``image`` (H, W) or (H, W, 3) uint8, taken at ``stamp_ns``: some of the keys of REMEDIES."""
         sample = grid_sample(image)
         frozen = self._is_frozen(sample, stamp_ns)
         if self._is_dark(sample):
             return (DARK,)  # a black image has no noise: whether it is frozen is not visible
-        saturated = self._is_saturated(sample)  # nor has a white one
-        lights = self._lights_changed(sample, gain)
-        found = ((LIGHTS, lights), (SATURATED, saturated), (FROZEN, frozen and not saturated))
-        return tuple(flag for flag, yes in found if yes)
+        if self._is_saturated(sample):
+            return (SATURATED,)  # nor has a white one
+        return (FROZEN,) if frozen else ()
 
     def _is_dark(self, sample: npt.NDArray[np.uint8]) -> bool:
         return is_black(sample) and self._black_share < DARK_SHARE
-
-    def _lights_changed(self, sample: npt.NDArray[np.uint8], gain: float) -> bool:
-        """Whether most pixels changed by more than the limit: neither a person nor a shadow covers half the image."""
-        if self._lit is None or len(sample) != self._sampled:
-            return False
-        values, factor = sample[self._lit], 1 + LIGHTS_CHANGE
-        brighter = int(np.count_nonzero(values > self._lit_mean * np.float32(gain * factor)))
-        darker = int(np.count_nonzero(values < self._lit_mean * np.float32(gain / factor)))
-        return 2 * max(brighter, darker) > len(values)
 
     def _is_saturated(self, sample: npt.NDArray[np.uint8]) -> bool:
         white = int(np.count_nonzero(sample >= WHITE_LEVEL))
