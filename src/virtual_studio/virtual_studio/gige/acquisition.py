@@ -199,8 +199,6 @@ class Acquisition:
         self._counters["frames_exposed"] += 1
         if not self._faults.stall:
             self._send(start_ns, exposure_ns)
-        if late_ns > LONGEST_BACKLOG_NS:
-            self._counters["late_restarts"] += 1
         self._expose_after(self._now_ns() if late_ns > LONGEST_BACKLOG_NS else start_ns)
 
     def _send(self, start_ns: int, exposure_ns: int) -> None:

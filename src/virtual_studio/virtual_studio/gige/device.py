@@ -73,9 +73,15 @@ class Faults:
 
     def update(self, changes: Mapping[str, Any], where: str = "faults") -> None:
         """Sets several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""
-        checked = {name: _checked(name, value, where) for name, value in changes.items()}
-        for name, value in checked.items():
-            setattr(self, name, value)
+        for name, value in changes.items():
+            if name not in FAULT_NAMES:
+                remedy = f"Known faults: {', '.join(FAULT_NAMES)}."
+                raise InputError(f"there is no fault '{name}'", where=where, remedy=remedy)
+            low, high = _LIMITS.get(name, (False, True))
+            if not isinstance(value, int | float) or not low <= value <= high:
+                raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {low} to {high}.")
+        for name, value in changes.items():
+            setattr(self, name, type(getattr(Faults, name))(value))
 
     def clear(self) -> None:
         """Switches all faults off."""
@@ -101,20 +107,7 @@ class Device:
 
 
 FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
-_HIGHEST = {"packet_loss": 1.0, "light": 10.0}
-
-
-def _checked(name: str, value: Any, where: str) -> Any:
-    if name not in FAULT_NAMES:
-        raise InputError(f"there is no fault '{name}'", where=where, remedy=f"Known faults: {', '.join(FAULT_NAMES)}.")
-    kind = type(getattr(Faults, name))
-    if kind is bool and value in (0, 1):
-        return bool(value)
-    low, high = (0.0, _HIGHEST[name]) if kind is float else (-LARGEST_INT, LARGEST_INT)
-    if kind is not bool and isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
-        return kind(value)
-    limits = "true or false" if kind is bool else f"a number from {low:g} to {high:g}"
-    raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {limits}.")
+_LIMITS = {"packet_loss": (0, 1), "light": (0, 10), "stamp_jump_ns": (-LARGEST_INT, LARGEST_INT)}
 
 
 # --- Loopback addresses.

@@ -110,6 +110,7 @@ class Registers:
 
     A client's write is checked against access and limits, then by ``checks[name]`` (which may raise RegisterError), and
     when it stands, ``writes[name]`` is called. ``reads[name]`` makes the value anew whenever a client reads it.
+    Registers of the standard that no row describes read as zero.
     """
 
     def __init__(self, features: Iterable[Feature], file: bytes = b"") -> None:
@@ -150,6 +151,10 @@ class Registers:
         at = address
         while at < address + count:
             feature = self._at.get(at)
+            if feature is None and at < FEATURE_SPACE:
+                data += bytes(4)
+                at += 4
+                continue
             if feature is None:
                 raise RegisterError(Status.INVALID_ADDRESS)
             if feature.name in self.reads:

@@ -19,7 +19,6 @@ from gige_vision.gvsp import IP_AND_UDP, Content, packet_header, payload_capacit
 from .device import Device
 
 SEND_BUFFER_BYTES = 4 << 20
-MOST_REFUSALS = 64
 RESEND_FRAMES = 8  # kept for resend requests
 BURST_NS = 500_000  # packets that a delay spreads leave in bursts this far apart
 
@@ -93,16 +92,13 @@ class StreamChannel:
         self._counters["frames_sent"] += 1
 
     def resend(self, block_id: int, first: int, last: int) -> None:
-        """Sends packets of one of the last blocks once more; those that are gone are reported unavailable."""
+        """Sends packets of one of the last blocks once more."""
         self._counters["resend_requests"] += 1
         if self._faults.no_resend:
             return
         block = next((block for block in self._blocks if block.block_id == block_id), None)
         if block is None:
             self._counters["resend_missed"] += 1
-            for packet_id in range(first, min(last, first + MOST_REFUSALS) + 1):
-                header = packet_header(Content.PAYLOAD, block_id, packet_id, Status.PACKET_UNAVAILABLE)
-                self._transmit((header, b""), self._destination)
             return
         for packet_id in range(first, min(last, block.packets - 1) + 1):
             if self._kept(1)[0]:
