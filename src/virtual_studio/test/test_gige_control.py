@@ -144,6 +144,7 @@ def test_accesses_are_refused_with_the_status_that_says_why():
     assert status_of(lambda: memory.read(0x7_0000, 4)) == Status.INVALID_ADDRESS
     assert status_of(lambda: memory.read(at["Width"] + 1, 4)) == Status.BAD_ALIGNMENT
     assert status_of(lambda: memory.read(at["Width"], 3)) == Status.BAD_ALIGNMENT
+    assert status_of(lambda: memory.write(at["ExposureTime"] + 4, bytes(4))) == Status.BAD_ALIGNMENT
     assert status_of(lambda: memory.write(at["SensorWidth"], bytes(4))) == Status.WRITE_PROTECT
     assert status_of(lambda: memory.write(at["Width"], struct.pack(">I", 642))) == Status.INVALID_PARAMETER
     assert status_of(lambda: memory.write(at["Width"], struct.pack(">I", 644))) == Status.INVALID_PARAMETER
@@ -152,9 +153,3 @@ def test_accesses_are_refused_with_the_status_that_says_why():
     assert status_of(lambda: memory.read(FILE_SPACE + 16, 4)) == Status.INVALID_ADDRESS
     assert memory.read(FILE_SPACE + 4, 8) == b"456789ab"
     assert memory.integer("Width") == 640
-
-
-def test_several_registers_in_a_row_are_written_at_once():
-    memory = registers()
-    memory.write(bootstrap.STREAM_PORT, struct.pack(">III", 50_000, 9000, 7))
-    assert [memory.integer(key) for key in ("GevSCPHostPort", "PacketSizeWord", "GevSCPD")] == [50_000, 9000, 7]

@@ -145,49 +145,39 @@ class Registers:
         """Reads bytes of the memory. Raises RegisterError."""
         if address % 4 or count % 4 or count <= 0:
             raise RegisterError(Status.BAD_ALIGNMENT)
-        if address >= FILE_SPACE:
-            return self._read_file(address - FILE_SPACE, count)
-        data = bytearray()
-        at = address
-        while at < address + count:
-            feature = self._at.get(at)
-            if feature is None and at < FEATURE_SPACE:
-                data += bytes(4)
-                at += 4
-                continue
-            if feature is None:
-                raise RegisterError(Status.INVALID_ADDRESS)
-            if feature.name in self.reads:
-                self._values[feature.name] = self.reads[feature.name]()
-            data += _encode(feature, self._values[feature.name])[at - feature.address :]
-            at = feature.address + feature.length
-        return bytes(data[:count])
+        if address < FILE_SPACE:
+            return b"".join(self._word(at) for at in range(address, address + count, 4))
+        start = address - FILE_SPACE
+        if start + count > len(self._file):
+            raise RegisterError(Status.INVALID_ADDRESS)
+        return self._file[start : start + count]
 
     def write(self, address: int, data: bytes) -> None:
-        """Handles a client's write of one register or several in a row. Raises RegisterError at the first refused."""
-        if address % 4 or len(data) % 4 or not data:
+        """Handles a client's write of one register, whole. Raises RegisterError."""
+        feature = self._at.get(address)
+        if feature is None:
+            raise RegisterError(Status.INVALID_ADDRESS)
+        if address != feature.address or len(data) != feature.length:
             raise RegisterError(Status.BAD_ALIGNMENT)
-        at = address
-        while at < address + len(data):
-            feature = self._at.get(at)
-            if feature is None:
-                raise RegisterError(Status.INVALID_ADDRESS)
-            self._values[feature.name] = self._new_value(feature, at, data[at - address :])
-            if feature.name in self.writes:
-                self.writes[feature.name]()
-            at = feature.address + feature.length
-
-    def _new_value(self, feature: Feature, at: int, data: bytes) -> Value:
         if not feature.writable:
             raise RegisterError(Status.WRITE_PROTECT)
-        offset = at - feature.address
-        old = _encode(feature, self._values[feature.name])
-        merged = old[:offset] + data[: feature.length - offset]
-        value = _decode(feature, merged + old[len(merged) :])
+        value = _decode(feature, data)
         self._check_limits(feature, value)
         for check in self.checks[feature.name]:
             check(value)
-        return value
+        self._values[feature.name] = value
+        if feature.name in self.writes:
+            self.writes[feature.name]()
+
+    def _word(self, address: int) -> bytes:
+        feature = self._at.get(address)
+        if feature is None:
+            if address < FEATURE_SPACE:
+                return bytes(4)
+            raise RegisterError(Status.INVALID_ADDRESS)
+        if feature.name in self.reads:
+            self._values[feature.name] = self.reads[feature.name]()
+        return _encode(feature, self._values[feature.name])[address - feature.address :][:4]
 
     def _check_limits(self, feature: Feature, value: Value) -> None:
         if feature.kind is Kind.ENUMERATION and value not in dict(feature.entries).values():
@@ -198,11 +188,6 @@ class Registers:
         wrong = (low is not None and not value >= low) or (high is not None and not value <= high)
         if wrong or (feature.step is not None and int(value) % feature.step):
             raise RegisterError(Status.INVALID_PARAMETER)
-
-    def _read_file(self, start: int, count: int) -> bytes:
-        if start + count > len(self._file):
-            raise RegisterError(Status.INVALID_ADDRESS)
-        return self._file[start : start + count]
 
 
 def _encode(feature: Feature, value: Value) -> bytes:
