@@ -74,24 +74,22 @@ class Faults:
     def update(self, changes: Mapping[str, Any], where: str = "faults") -> None:
         """Sets several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""
         for name, value in changes.items():
-            if name not in FAULT_NAMES:
-                remedy = f"Known faults: {', '.join(FAULT_NAMES)}."
+            if name not in NO_FAULTS:
+                remedy = f"Known faults: {', '.join(NO_FAULTS)}."
                 raise InputError(f"there is no fault '{name}'", where=where, remedy=remedy)
             low, high = _LIMITS.get(name, (False, True))
             if not isinstance(value, int | float) or not low <= value <= high:
                 raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {low} to {high}.")
         for name, value in changes.items():
-            setattr(self, name, type(getattr(Faults, name))(value))
+            setattr(self, name, type(NO_FAULTS[name])(value))
 
     def clear(self) -> None:
         """Switches all faults off."""
-        for field in dataclasses.fields(self):
-            setattr(self, field.name, field.default)
+        self.update(NO_FAULTS)
 
     def active(self) -> dict[str, Any]:
         """Returns the faults that are on."""
-        fields = dataclasses.fields(self)
-        return {f.name: getattr(self, f.name) for f in fields if getattr(self, f.name) != f.default}
+        return {name: getattr(self, name) for name in NO_FAULTS if getattr(self, name) != NO_FAULTS[name]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +104,7 @@ class Device:
     loop: EventLoop
 
 
-FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
+NO_FAULTS = dataclasses.asdict(Faults())
 _LIMITS = {"packet_loss": (0, 1), "light": (0, 10), "stamp_jump_ns": (-LARGEST_INT, LARGEST_INT)}
 
 

@@ -73,11 +73,6 @@ class StreamChannel:
     def close(self) -> None:
         self._socket.close()
 
-    @property
-    def is_open(self) -> bool:
-        """True when a client has said where to send."""
-        return self._registers.integer("GevSCPHostPort") != 0
-
     def discard_blocks(self) -> None:
         """Forgets what was sent: a new acquisition begins."""
         self._blocks.clear()
