@@ -192,7 +192,6 @@ def choose(wanted, reading, status, offset_s=37):
         ("auto", 37.0, "Listening", "camera"),
         ("auto", 5.0, None, "camera"),
         ("camera", 37.0, "Slave", "camera"),
-        ("arrival", 37.0, "Slave", "host"),
         ("ptp", 37.0, "Slave", "PTP"),
     ],
 )

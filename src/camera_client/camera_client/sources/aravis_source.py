@@ -17,7 +17,7 @@ from gige_vision import bootstrap
 
 from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import ClockReading, TimeSource, after_last, choose_time_source, read_clock
+from ..gige.capture_time import CameraTime, ClockReading, after_last, choose_time_source, read_clock
 from ..gige.discovery import FoundCamera, described, find_camera
 from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, device_errors
 from ..gige.triggers import (
@@ -71,7 +71,7 @@ class AravisSource(FrameSource):
         self._trigger: TriggerThread | None = None
         self._actions: ActionSender | None = None
         self._schedule: TriggerSchedule | None = None
-        self._time: TimeSource | None = None
+        self._time: CameraTime | None = None
         self._streaming = False
         self._lost = False
         self._last_stamp_ns = 0
@@ -180,7 +180,7 @@ class AravisSource(FrameSource):
         self._camera = self._Aravis.Camera.new_with_device(self._device)
         return Features(access, self.description)
 
-    def _prepare_time_and_triggers(self, features: Features, found: FoundCamera) -> TimeSource:
+    def _prepare_time_and_triggers(self, features: Features, found: FoundCamera) -> CameraTime:
         """PTP first, for everything else counts on the clock; then the triggers; then whose time stamps frames."""
         s = self._settings
         if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
@@ -199,7 +199,7 @@ class AravisSource(FrameSource):
             self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self._counters)
         return self._time_source(features, reading)
 
-    def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
+    def _time_source(self, features: Features, reading: ClockReading | None) -> CameraTime:
         s = self._settings
         status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
         source, warning = choose_time_source(s, reading, status, self.description)
@@ -207,7 +207,7 @@ class AravisSource(FrameSource):
         return source
 
     def _read_details(
-        self, features: Features, found: FoundCamera, setup: CameraSetup, time_source: TimeSource
+        self, features: Features, found: FoundCamera, setup: CameraSetup, time_source: CameraTime
     ) -> dict[str, str]:
         device = found.device
         details = {
