@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision.gvsp import PixelFormat
 
 from ..frame_source import FrameStatistics, Image
 from ..gige.camera_setup import CameraSetup
-from ..gige.capture_time import SECOND, FrameTimes
+from ..gige.capture_time import FrameTimes
 from ..gige.pixel_formats import to_image
 from ..settings import AravisSettings
 
@@ -28,7 +27,6 @@ class AravisStream:
     """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
 
     statistics : counts every frame, whole or not. ``warnings`` of the set-up.
-    Raises InputError when the camera does not keep the packet size or delay that was set.
     """
 
     INFOS = ("resend_requests", "resent_packets", "missing_packets", "underruns", "error_packets")  # Aravis: "n_..."
@@ -43,8 +41,8 @@ class AravisStream:
         self._format_code = camera.get_pixel_format()
         self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
         self._image_bytes = PixelFormat[setup.pixel_format].image_bytes(setup.width, setup.height)
-        self._ticks_per_second = self._device.get_timestamp_tick_frequency() or SECOND
-        self._set_packets()
+        adjustment = Aravis.GvPacketSizeAdjustment
+        camera.gv_set_packet_size_adjustment(adjustment.NEVER if settings.packet_size else adjustment.ALWAYS)
         # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
         camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
         self._stream = camera.create_stream(None, None)
@@ -117,18 +115,6 @@ class AravisStream:
 
     # --- setting up ----------------------------------------------------------------------------------------------
 
-    def _set_packets(self) -> None:
-        s, camera = self._settings, self._camera
-        adjustment = self._Aravis.GvPacketSizeAdjustment
-        camera.gv_set_packet_size_adjustment(adjustment.NEVER if s.packet_size else adjustment.ALWAYS)
-        if s.packet_size:
-            camera.gv_set_packet_size(s.packet_size)
-            self._compare("packet_size", s.packet_size, camera.gv_get_packet_size())
-        if s.packet_delay_ns >= 0:
-            camera.gv_set_packet_delay(s.packet_delay_ns)
-            tick_ns = SECOND // self._ticks_per_second
-            self._compare("packet_delay_ns", s.packet_delay_ns, camera.gv_get_packet_delay(), tick_ns)
-
     def _set_up(self) -> tuple[str, ...]:
         Aravis, s, stream = self._Aravis, self._settings, self._stream
         able = self._device.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.PACKET_RESEND
@@ -151,14 +137,6 @@ class AravisStream:
         buffer = self._Aravis.Buffer.new_full(size, memory.ctypes.data, None, None)
         buffer.memory = memory
         return buffer
-
-    def _compare(self, key: str, wanted: int, got: int, tolerance: int = 0) -> None:
-        if abs(got - wanted) > tolerance:
-            raise InputError(
-                f"took {key} = {got} instead of {wanted}",
-                where=f"aravis.{key}",
-                remedy="Give a value that the camera keeps, or leave it out.",
-            )
 
 
 def first_of_run(arrived: int, last_of_former_run: int | None) -> int:

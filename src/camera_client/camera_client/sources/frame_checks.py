@@ -48,18 +48,16 @@ class FrameChecks:
         self._may_repeat = may_repeat
         self._sampled, self._black_share, self._white_share = 0, 0.0, 0.0  # of the background
         self._lit: npt.NDArray[np.intp] | None = None
-        if background_mean is not None:
-            self._remember(grid_sample(background_mean).astype(np.float32))
         self._checksum: int | None = None
         self._same_since_ns, self._repeats = 0, 0
-
-    def _remember(self, background: npt.NDArray[np.float32]) -> None:
-        self._sampled = len(background)
-        self._black_share = float((background <= 1.5 * DARK_LEVEL).mean())
-        self._white_share = float((background >= WHITE_LEVEL).mean())
-        lit = np.flatnonzero(background >= MIN_LIT_LEVEL)
-        if len(lit):
-            self._lit, self._lit_mean = lit, background[lit]
+        if background_mean is not None:
+            background = grid_sample(background_mean).astype(np.float32)
+            self._sampled = len(background)
+            self._black_share = float((background <= 1.5 * DARK_LEVEL).mean())
+            self._white_share = float((background >= WHITE_LEVEL).mean())
+            lit = np.flatnonzero(background >= MIN_LIT_LEVEL)
+            if len(lit):
+                self._lit, self._lit_mean = lit, background[lit]
 
     def check(self, image: Image, stamp_ns: int, gain: float = 1.0) -> tuple[str, ...]:
         """Flags of ``image`` (H, W) or (H, W, 3) uint8, taken at ``stamp_ns``: some of the keys of REMEDIES.
@@ -69,15 +67,13 @@ class FrameChecks:
         """
         sample = grid_sample(image)
         frozen = self._is_frozen(sample, stamp_ns)
-        if self._is_dark(sample):
+        if is_black(sample) and self._black_share < DARK_SHARE:
             return (DARK,)  # a black image has no noise: whether it is frozen is not visible
-        saturated = self._is_saturated(sample)  # nor has a white one
+        white = int(np.count_nonzero(sample >= WHITE_LEVEL))
+        saturated = white > (self._white_share + SATURATED_SHARE) * len(sample)  # nor has a white one
         lights = self._lights_changed(sample, gain)
         found = ((LIGHTS, lights), (SATURATED, saturated), (FROZEN, frozen and not saturated))
         return tuple(flag for flag, yes in found if yes)
-
-    def _is_dark(self, sample: npt.NDArray[np.uint8]) -> bool:
-        return is_black(sample) and self._black_share < DARK_SHARE
 
     def _lights_changed(self, sample: npt.NDArray[np.uint8], gain: float) -> bool:
         """Whether most pixels changed by more than the limit: neither a person nor a shadow covers half the image."""
@@ -87,10 +83,6 @@ class FrameChecks:
         brighter = int(np.count_nonzero(values > self._lit_mean * np.float32(gain * factor)))
         darker = int(np.count_nonzero(values < self._lit_mean * np.float32(gain / factor)))
         return 2 * max(brighter, darker) > len(values)
-
-    def _is_saturated(self, sample: npt.NDArray[np.uint8]) -> bool:
-        white = int(np.count_nonzero(sample >= WHITE_LEVEL))
-        return white > (self._white_share + SATURATED_SHARE) * len(sample)
 
     def _is_frozen(self, sample: npt.NDArray[np.uint8], stamp_ns: int) -> bool:
         """Sensor noise makes every frame differ somewhere: equal ones are one frame sent again."""
@@ -110,10 +102,5 @@ def is_black(sample: npt.NDArray[np.uint8]) -> bool:
 
 def grid_sample(image: np.ndarray) -> np.ndarray:
     """About SAMPLES pixels of the image (n,), or all channels of them, on a regular grid."""
-    step = grid_step(image.shape)
+    step = max(1, math.isqrt(image.shape[0] * image.shape[1] // SAMPLES))
     return np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step]).reshape(-1)
-
-
-def grid_step(shape: tuple[int, ...]) -> int:
-    """Return every how many rows and columns that grid has a pixel."""
-    return max(1, math.isqrt(shape[0] * shape[1] // SAMPLES))
