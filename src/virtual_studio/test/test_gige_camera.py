@@ -4,10 +4,9 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from gige_client import GvcpClient, aravis_modules
+from gige_client import aravis_modules
 
 from capture_rig.errors import InputError
-from gige_vision.gvcp import Status
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
 from virtual_studio.gige.device import Device
 from virtual_studio.gige.feature_table import feature_table
@@ -86,19 +85,6 @@ def test_sensor_noise_has_the_deviation_that_was_set_and_stays_without_light():
     dark = camera.of(scene)
     assert dark.max() > 0 and dark.mean() < 5
     assert (dark == 0).mean() == pytest.approx(0.55, abs=0.08)  # the negative half of the noise is cut off
-
-
-def address_of(camera, key):
-    return next(f.address for f in camera.features if f.name == key)
-
-
-def test_geometry_is_locked_while_frames_are_taken(address):
-    with SimulatedCamera(address, PatternScene()) as camera, GvcpClient(address) as client:
-        client.take_control()
-        client.write(address_of(camera, "AcquisitionStart"), 1)
-        assert client.write(address_of(camera, "Width"), 320) == Status.ACCESS_DENIED
-        client.write(address_of(camera, "AcquisitionStop"), 1)
-        assert client.write(address_of(camera, "Width"), 320) == Status.SUCCESS
 
 
 def test_power_cycle_forgets_settings_but_not_the_user_s_name(address):

@@ -20,7 +20,6 @@ from .device import CameraSettings, Device, Faults
 from .feature_table import PTP_STATES
 from .imaging import ImagingPipeline, pixel_bytes
 from .loop import EventLoop, Timer
-from .registers import RegisterError, Value
 from .scenes import CameraScene
 from .stream import StreamChannel
 
@@ -30,7 +29,6 @@ MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
 LONGEST_BACKLOG_NS = 250_000_000  # frames, and pulses of the generator, that are late by more are left out
 REMEMBERED = 4096
-LOCKED = ("Width", "Height", "BinningHorizontal", "BinningVertical", "PixelFormat")
 PERIODIC_SIGNAL = "PeriodicSignal1"
 
 
@@ -110,8 +108,6 @@ class Acquisition:
         r.writes |= {"AcquisitionStart": self.start, "AcquisitionStop": self.stop}
         r.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
         r.writes |= dict.fromkeys(("TriggerMode", "TriggerSource"), self._rearm)
-        for name in LOCKED:
-            r.checks[name].append(self._refuse_while_running)
 
     @property
     def source(self) -> str:
@@ -216,10 +212,6 @@ class Acquisition:
         for timer in self._timers:
             timer.cancel()
         self._timers = []
-
-    def _refuse_while_running(self, value: Value) -> None:
-        if self.running:
-            raise RegisterError(Status.ACCESS_DENIED)
 
 
 @lru_cache

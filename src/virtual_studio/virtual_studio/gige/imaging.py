@@ -40,11 +40,10 @@ class ImagingPipeline:
         self._noise: NDArray[np.int8] | None = None
         self._last: Image | None = None
         checks, writes = device.registers.checks, device.registers.writes
-        checks["ExposureTime"].append(lambda value: self._refuse_while_auto("ExposureAuto"))
-        checks["Gain"].append(lambda value: self._refuse_while_auto("GainAuto"))
+        checks["ExposureTime"] = lambda value: self._refuse_while_auto("ExposureAuto")
+        checks["Gain"] = lambda value: self._refuse_while_auto("GainAuto")
         for _, binning, largest, size, offset in _AXES:
-            checks[size].append(self._fits(offset, largest))
-            checks[offset].append(self._fits(size, largest))
+            checks[size], checks[offset] = self._fits(offset, largest), self._fits(size, largest)
             writes[binning] = writes[size] = self.refresh
         writes["PixelFormat"] = self.refresh
         self.refresh()

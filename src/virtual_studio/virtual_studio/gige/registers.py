@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -118,7 +117,7 @@ class Registers:
         self._values: dict[str, Value] = {f.name: f.default for f in self._features.values()}
         self._at: dict[int, Feature] = {}
         self._file = file
-        self.checks: defaultdict[str, list[Callable[[Value], None]]] = defaultdict(list)
+        self.checks: dict[str, Callable[[Value], None]] = {}
         self.writes: dict[str, Callable[[], object]] = {}
         self.reads: dict[str, Callable[[], Value]] = {}
         for feature in self._features.values():
@@ -163,8 +162,8 @@ class Registers:
             raise RegisterError(Status.WRITE_PROTECT)
         value = _decode(feature, data)
         self._check_limits(feature, value)
-        for check in self.checks[feature.name]:
-            check(value)
+        if feature.name in self.checks:
+            self.checks[feature.name](value)
         self._values[feature.name] = value
         if feature.name in self.writes:
             self.writes[feature.name]()
