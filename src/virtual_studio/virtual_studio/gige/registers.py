@@ -226,30 +226,25 @@ PORT = "Device"
 
 def genicam_xml(features: Iterable[Feature]) -> bytes:
     """Writes the XML, whole words: categories, a node for every named feature, a register node beneath each."""
-    named = [feature for feature in features if feature.category]
-    parts = [_HEAD, *_categories(named)]
-    for feature in named:
-        parts.append(_node(feature))
-        if feature.kind is not Kind.STRING:
-            parts.append(_register(feature))
-    parts.append(f'<Port Name="{PORT}"/>\n</RegisterDescription>\n')
-    xml = "".join(parts).encode()
+    categories: dict[str, str] = {}
+    nodes = ""
+    for feature in features:
+        if feature.category:
+            member = f"<pFeature>{feature.name}</pFeature>"
+            categories[feature.category] = categories.get(feature.category, "") + member
+            nodes += _nodes(feature)
+    root = "".join(f"<pFeature>{name}</pFeature>" for name in categories)
+    lists = "".join(_element("Category", name, members) for name, members in {"Root": root, **categories}.items())
+    xml = f'{_HEAD}{lists}{nodes}<Port Name="{PORT}"/>\n</RegisterDescription>\n'.encode()
     return xml + b" " * (-len(xml) % 4)
 
 
-def _categories(features: list[Feature]) -> list[str]:
-    names = list(dict.fromkeys(feature.category for feature in features))
-    parts = [_element("Category", "Root", "".join(f"<pFeature>{name}</pFeature>" for name in names))]
-    for name in names:
-        members = "".join(f"<pFeature>{f.name}</pFeature>" for f in features if f.category == name)
-        parts.append(_element("Category", name, members))
-    return parts
-
-
-def _node(feature: Feature) -> str:
+def _nodes(feature: Feature) -> str:
+    """Return the node of a feature and, but for texts, that of its register."""
+    where = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
+    where += f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode><pPort>{PORT}</pPort>"
     if feature.kind is Kind.STRING:
-        body = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
-        return _element("StringReg", feature.name, f"{body}{_access(feature)}<pPort>{PORT}</pPort>")
+        return _element("StringReg", feature.name, where)
     value = f"<pValue>{feature.name}Reg</pValue>"
     if feature.kind is Kind.ENUMERATION:
         value = "".join(_element("EnumEntry", n, f"<Value>{v}</Value>") for n, v in feature.entries) + value
@@ -258,34 +253,19 @@ def _node(feature: Feature) -> str:
     elif feature.kind is Kind.BOOLEAN:
         value += "<OnValue>1</OnValue><OffValue>0</OffValue>"
     else:
-        value += _limits(feature)
+        numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
+        value += "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
+        value += f"<pMax>{feature.high_of}</pMax>" if feature.high_of else ""
         value += f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""
-    return _element(feature.kind.value, feature.name, value)
-
-
-def _limits(feature: Feature) -> str:
-    numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
-    limits = "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
-    return limits + (f"<pMax>{feature.high_of}</pMax>" if feature.high_of else "")
-
-
-def _register(feature: Feature) -> str:
-    where = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
-    where += f"{_access(feature)}<pPort>{PORT}</pPort>"
-    where += "<Cachable>NoCache</Cachable>" if feature.volatile or feature.bits else ""
-    name = f"{feature.name}Reg"
-    if feature.kind is Kind.FLOAT:
-        return _element("FloatReg", name, f"{where}<Endianess>BigEndian</Endianess>")
-    number = "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>"
-    if feature.bits is None:
-        return _element("IntReg", name, where + number)
-    first, last = (31 - bit for bit in feature.bits)  # in big-endian registers bit 0 is the highest
-    bits = f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
-    return _element("MaskedIntReg", name, where + bits + number)
-
-
-def _access(feature: Feature) -> str:
-    return f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode>"
+    register = where + ("<Cachable>NoCache</Cachable>" if feature.volatile or feature.bits else "")
+    if feature.bits:
+        tag, (first, last) = "MaskedIntReg", (31 - bit for bit in feature.bits)  # bit 0 is the highest
+        register += f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
+    else:
+        tag = "FloatReg" if feature.kind is Kind.FLOAT else "IntReg"
+    register += "" if feature.kind is Kind.FLOAT else "<Sign>Unsigned</Sign>"
+    register += "<Endianess>BigEndian</Endianess>"
+    return _element(feature.kind.value, feature.name, value) + _element(tag, f"{feature.name}Reg", register)
 
 
 def _element(tag: str, name: str, body: str) -> str:
