@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camera_client.gige.triggers import ACTION_COUNTERS, ACTION_GROUP, ActionSender, TriggerSchedule, TriggerThread
-from camera_client.sources.aravis_stream import first_of_run
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, CommandPacket, Status
 from virtual_studio.gige import free_address
 
@@ -118,10 +117,3 @@ def test_camera_that_does_not_answer_is_counted_and_holds_nobody_up(device, gone
     for _ in range(70):
         sender.send(NOW_NS)
     assert counts["actions_unanswered"] == 70 and counts["actions"] == 0
-
-
-@pytest.mark.parametrize(
-    "arrived, last, first", [(1, None, 1), (3, None, 1), (1, 500, 1), (4, 500, 1), (501, 500, 501), (520, 500, 520)]
-)
-def test_run_begins_at_one_unless_the_camera_counts_on(arrived, last, first):
-    assert first_of_run(arrived, last) == first

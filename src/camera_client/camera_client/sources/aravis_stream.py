@@ -16,7 +16,6 @@ from ..gige.capture_time import FrameTimes
 from ..gige.pixel_formats import to_image
 from ..settings import AravisSettings
 
-FIRST_ID = 1  # GigE Vision: block ids begin at 1, 0 is reserved
 US_TO_NS = 1000
 # Thresholds: measured by python bench/camera.py --loss 0 0.0005 0.005.
 FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
@@ -48,8 +47,7 @@ class AravisStream:
         self._stream = camera.create_stream(None, None)
         self.warnings = self._set_up()
         self._wrong_format = 0
-        self._run_begun, self._has_run = False, False
-        self._last_id: int | None = None
+        self._has_run, self._last_id = False, 0
 
     def restart(self) -> None:
         """Forget what a former run left behind; the next frame is the first of a new run."""
@@ -58,7 +56,8 @@ class AravisStream:
             while (buffer := self._stream.try_pop_buffer()) is not None:
                 self._give_back(buffer)
             self._stream.start_thread()
-        self._has_run, self._run_begun = True, False
+        self._has_run, self._last_id = True, 0
+        self._statistics.restart()
 
     def grab(self, timeout_s: float) -> tuple[Image, int, FrameTimes] | None:
         """Return image, id and times of the next frame; None when it was not whole, or none came in time.
@@ -95,12 +94,8 @@ class AravisStream:
 
     def _id_of(self, buffer: Any) -> int:
         """Return the frame's id; without its leader packet it has none, and then it is the one after the last."""
-        frame_id = buffer.get_frame_id() or (1 if self._last_id is None else self._last_id + 1)
-        if not self._run_begun:
-            self._statistics.restart(first_of_run(frame_id, self._last_id))
-            self._run_begun = True
-        self._last_id = frame_id
-        return frame_id
+        self._last_id = buffer.get_frame_id() or self._last_id + 1
+        return self._last_id
 
     def _is_as_agreed(self, buffer: Any) -> bool:
         if buffer.get_payload_type() != self._Aravis.BufferPayloadType.IMAGE:
@@ -137,14 +132,3 @@ class AravisStream:
         buffer = self._Aravis.Buffer.new_full(size, memory.ctypes.data, None, None)
         buffer.memory = memory
         return buffer
-
-
-def first_of_run(arrived: int, last_of_former_run: int | None) -> int:
-    """Return the id of the first frame that the camera sent, given the first that arrived.
-
-    Cameras begin at 1 with each stream, and most of them also with each start of acquisition; others go on counting
-    where they stopped. ``last_of_former_run``: None for a stream's first run.
-    """
-    if last_of_former_run is not None and arrived > last_of_former_run:
-        return arrived  # it goes on; frames after the last run ended do not matter
-    return FIRST_ID

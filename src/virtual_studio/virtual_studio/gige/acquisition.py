@@ -32,11 +32,11 @@ REMEMBERED = 4096
 PERIODIC_SIGNAL = "PeriodicSignal1"
 
 
-def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int:
-    """Returns the first whole multiple of a period, counted from the origin, after an instant; to the nearest ns."""
+def next_multiple(after_ns: int, period_ns: Fraction) -> int:
+    """Returns the first whole multiple of a period after an instant; to the nearest ns."""
     length, share = period_ns.numerator, period_ns.denominator  # whole numbers: a hundred times as fast
-    index = -(-(2 * (after_ns - origin_ns) + 1) * share // (2 * length))  # the first that is rounded to beyond it
-    return origin_ns + (2 * index * length + share) // (2 * share)
+    index = -(-(2 * after_ns + 1) * share // (2 * length))  # the first that is rounded to beyond it
+    return (2 * index * length + share) // (2 * share)
 
 
 class CameraClock:
@@ -176,8 +176,7 @@ class Acquisition:
         """Schedule the next exposure of a camera whose exposures follow each other by themselves."""
         period_ns = self.period_ns
         if self.source == PERIODIC_SIGNAL:  # which the camera's own clock counts
-            delay_ns = round(self._registers.real("BslPeriodicSignalDelay") * 1000)
-            start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns, delay_ns))
+            start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns))
             self._expose_at(max(start_ns, after_ns + 1))
         elif not self.source:
             self._expose_at(next_multiple(after_ns, period_ns))

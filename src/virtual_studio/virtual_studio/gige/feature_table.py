@@ -88,7 +88,6 @@ def feature_table(settings: CameraSettings, address: str, width: int, height: in
             real("TriggerDelay", low=0.0, high=1e6, unit="us"),
             command("TriggerSoftware"),
             real("BslPeriodicSignalPeriod", 33333.0, low=1000.0, high=1e7, unit="us"),
-            real("BslPeriodicSignalDelay", low=0.0, high=1e7, unit="us"),
         ],
         "AnalogControl": [
             real("Gain", low=0.0, high=24.0, unit="dB"),
