@@ -93,7 +93,8 @@ def _set_region(features: Features, settings: AravisSettings) -> None:
             continue
         if features.find(offset) is not None:
             features.set(offset, 0, key)
-        largest = _largest(features, size)
+        limits = features.access.limits(size)  # at offset 0
+        largest = int(limits[1]) if limits else _integer(features, f"{size}Max")
         if wanted_size >= 0:
             features.set(size, wanted_size or largest, f"aravis.{size.lower()}")
         left = largest - _integer(features, size)
@@ -125,12 +126,6 @@ def _set_rate(features: Features, settings: AravisSettings) -> None:
             f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
             "region smaller, or raise the packet size"
         )
-
-
-def _largest(features: Features, size: str) -> int:
-    """Largest width or height at offset 0."""
-    limits = features.access.limits(size)
-    return int(limits[1]) if limits else _integer(features, f"{size}Max")
 
 
 def _integer(features: Features, name: str) -> int:

@@ -69,7 +69,8 @@ class ImagingPipeline:
     def capture(self, scene: Image) -> Image:
         """Takes the picture of what the scene shows."""
         if not self._faults.frozen or self._last is None:
-            self._last = self._with_noise(self._exposed(self._cropped(self._binned(scene))))
+            x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
+            self._last = self._with_noise(self._exposed(self._binned(scene)[y : y + h, x : x + w]))
         return self._last
 
     def _binned(self, scene: Image) -> Image:
@@ -79,10 +80,6 @@ class ImagingPipeline:
         height, width = scene.shape[0] // down, scene.shape[1] // across
         whole = scene[: height * down, : width * across]
         return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-    def _cropped(self, scene: Image) -> Image:
-        x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
-        return scene if (h, w) == scene.shape[:2] else scene[y : y + h, x : x + w]
 
     def _exposed(self, scene: Image) -> Image:
         """Return it as bright as exposure, gain (dB) and light make it, relative to the nominal exposure and 0 dB."""
