@@ -125,7 +125,6 @@ class Acquisition:
         return max(_period_ns(rate_hz), Fraction(self._imaging.exposure_ns))
 
     def start(self) -> None:
-        """Begins with block 1."""
         if self.running:
             return
         self._stream.discard_blocks()
@@ -134,7 +133,6 @@ class Acquisition:
         self._rearm()
 
     def stop(self) -> None:
-        """Stops: no frame leaves any more."""
         self.running = False
         self._cancel()
 

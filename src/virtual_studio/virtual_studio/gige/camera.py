@@ -50,7 +50,6 @@ class SimulatedCamera:
         self._running = False
 
     def start(self) -> SimulatedCamera:
-        """Powers the camera on."""
         if self._own_loop:
             self.loop.start()
         self._running = True
@@ -62,7 +61,6 @@ class SimulatedCamera:
         return self
 
     def close(self) -> None:
-        """Powers the camera off for good."""
         if self._running:
             self._running = False
             self.power_off()

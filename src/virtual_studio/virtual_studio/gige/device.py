@@ -84,11 +84,9 @@ class Faults:
             setattr(self, name, type(NO_FAULTS[name])(value))
 
     def clear(self) -> None:
-        """Switches all faults off."""
         self.update(NO_FAULTS)
 
     def active(self) -> dict[str, Any]:
-        """Returns the faults that are on."""
         return {name: getattr(self, name) for name in NO_FAULTS if getattr(self, name) != NO_FAULTS[name]}
 
 

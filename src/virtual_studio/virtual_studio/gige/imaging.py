@@ -67,7 +67,6 @@ class ImagingPipeline:
         r["PayloadSize"] = self.pixel_format.image_bytes(r.integer("Width"), r.integer("Height"))
 
     def capture(self, scene: Image) -> Image:
-        """Takes the picture of what the scene shows."""
         if not self._faults.frozen or self._last is None:
             x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
             self._last = self._with_noise(self._exposed(self._binned(scene)[y : y + h, x : x + w]))

@@ -141,7 +141,6 @@ class Registers:
         return next(label for label, value in self._features[name].entries if value == self._values[name])
 
     def read(self, address: int, count: int) -> bytes:
-        """Reads bytes of the memory. Raises RegisterError."""
         if address % 4 or count % 4 or count <= 0:
             raise RegisterError(Status.BAD_ALIGNMENT)
         if address < FILE_SPACE:

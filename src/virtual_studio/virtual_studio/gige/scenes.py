@@ -137,11 +137,9 @@ class Playback:
         return self.epoch_ns
 
     def hold(self) -> None:
-        """Stays at frame 0."""
         self._held = True
 
     def frame_at(self, instant_ns: int) -> int:
-        """Returns the number of the frame that is seen at an instant."""
         if self._held:
             return 0
         frame = (instant_ns - self.epoch_ns) * self._fps.numerator // (self._fps.denominator * SECOND_NS)

@@ -44,7 +44,6 @@ class Block:
         return -(-len(self.image) // payload_capacity(self.packet_size)) + 2
 
     def packet(self, packet_id: int, status: int = Status.SUCCESS) -> Packet:
-        """Returns one packet."""
         if packet_id == 0:
             content, body = Content.LEADER, memoryview(self.leader)
         elif packet_id == self.packets - 1:

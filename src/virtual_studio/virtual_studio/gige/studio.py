@@ -97,7 +97,6 @@ class Studio:
         return self.playback.fps if self.playback is not None and self.settings.session else 60.0
 
     def start(self) -> Studio:
-        """Switches every camera on, or none."""
         self.loop.start()
         try:
             self.scene.start()
@@ -111,7 +110,6 @@ class Studio:
         return self
 
     def close(self) -> None:
-        """Switches every camera off."""
         if self._control is not None:
             self._control.close()
             self._control = None

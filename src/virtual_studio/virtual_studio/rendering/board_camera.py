@@ -35,7 +35,6 @@ class BoardCamera:
         self._view, self._ideal = view_room(camera), ideal_corners(camera)
 
     def empty_room(self) -> Light:
-        """Returns the light of the room with nobody in it."""
         return self._view.grey
 
     def render(
