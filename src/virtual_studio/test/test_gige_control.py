@@ -9,7 +9,6 @@ from gige_client import CONTROL_PRIVILEGE, GvcpClient, eventually
 
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
-from gige_vision import gvcp as gvcp_payloads
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
 from virtual_studio.gige.feature_table import feature_table
@@ -50,13 +49,6 @@ def test_heartbeat_that_stops_frees_the_camera_and_ends_its_stream(camera, clien
     eventually(lambda: camera.status()["controller"] == "")  # asks the camera's program, not the camera
     assert camera.counters["heartbeats_lost"] == 1
     assert client.read(bootstrap.STREAM_PORT) == 0
-
-
-def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
-    client.take_control()
-    client.send(Command.WRITE_REGISTER, gvcp_payloads.encode_words([bootstrap.HEARTBEAT_TIMEOUT_MS, 7000]), flags=0)
-    assert client.is_silent()
-    assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 7000
 
 
 def test_garbage_is_counted_and_an_unknown_command_is_answered_not_implemented(camera, client):
