@@ -111,6 +111,7 @@ def test_status_tells_who_controls_a_camera(studio, control):
         ({"do": "room", "state": "empty"}, r"empty room"),
         ({"do": "play"}, r"test pattern has no playback"),
         ({"do": "wire", "rate": -1}, r"rate = -1"),
+        ({"do": "show", "phase": "floor"}, "--scene setup"),
     ],
 )
 def test_request_that_makes_no_sense_is_answered_with_the_reason(studio, control, request_, message):
