@@ -70,8 +70,8 @@ class AravisSettings:
     stamp_source: str = setting(
         "auto",
         "Whose clock stamps frames; auto: ptp when the camera is in step, else camera (its clock mapped onto "
-        "the host's); arrival: the host's at the first packet",
-        choices=("auto", "ptp", "camera", "arrival"),
+        "the host's)",
+        choices=("auto", "ptp", "camera"),
     )
     clock_speed: float = setting(
         1.0,

@@ -65,13 +65,6 @@ def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, s
         loop.stop()
 
 
-def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(gige_camera):
-    frames = taken(source_of(gige_camera(), stamp_source="arrival", exposure_us=8000.0))
-    assert {frame.clock for frame in frames} == {"host, at arrival"}
-    assert errors_ns(frames).min() >= -1 * MS  # less half the exposure, it is never before mid-exposure
-    assert all(frame.uncertainty_ns == 9 * MS for frame in frames)
-
-
 @pytest.mark.parametrize("stamp_source, jump_s", [("camera", -1), ("ptp", 3)])
 def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_source, jump_s):
     camera = gige_camera(ptp_settle_s=SETTLE_S)

@@ -93,9 +93,4 @@ def test_choice_follows_the_channels_wanted_and_the_fewest_bytes():
     assert choose_format(["RGB8Packed", "Mono12"], "mono") == "Mono12"
     assert choose_format(["Mono8"], "colour") is None
     assert choose_format(["Coord3D_C16"], "auto") is None
-
-
-def test_old_names_are_found_as_the_camera_spells_them():
-    assert find_format("RGB8", ["Mono8", "RGB8Packed"]) == "RGB8Packed"
-    assert find_format("RGB8", ["Mono8"]) is None
-    assert standard_name("YUV422Packed") == "YUV422_8_UYVY"
+    assert find_format("RGB8", offered) == "RGB8Packed" and find_format("BGR8", offered) is None

@@ -232,36 +232,25 @@ def test_settings_that_the_camera_or_the_node_refuses_fail_connect_or_start(worl
         frames_of(source, 1)
 
 
-def test_refusal_at_a_reconnection_is_shown_and_retried(world, streaming):
-    world.fault = WRONG
-    until(streaming, lambda s, _: s.connection.refused)
-    assert "Mono12" in streaming.connection.reason and streaming.connection.next_try_s == pytest.approx(RETRY_S)
-    world.fault = None
+@pytest.mark.parametrize(
+    "attribute, error, said, refused",
+    [
+        ("fault", WRONG, "Mono12", True),
+        ("fault", RuntimeError("a defect of the driver"), "defect", False),
+        ("start_fault", OFF, "does not answer", False),
+    ],
+)
+def test_reconnection_that_fails_is_shown_and_retried(world, streaming, attribute, error, said, refused):
+    setattr(world, attribute, error)
+    world.silent = True
+    until(streaming, lambda s, _: s.connection.state is ConnectionState.WAITING)
+    link = streaming.connection
+    assert said in link.reason and link.refused == refused and link.next_try_s == pytest.approx(RETRY_S)
+    assert world.made[0].closed.wait(PATIENCE_S)
+    setattr(world, attribute, None)
+    world.silent = False
     frames_of(streaming, 1)
     assert streaming.connection.reason == "" and not streaming.connection.refused
-
-
-def test_camera_that_connects_but_does_not_start_is_tried_again(world):
-    with world.supervised() as source:
-        world.start_fault = OFF
-        source.start()
-        for _ in range(50):
-            source.read(0.2)
-        assert source.connection.state is ConnectionState.WAITING and "does not answer" in source.connection.reason
-        assert all("closed" in made.calls for made in world.made[:-1])
-        world.start_fault = None
-        frames_of(source, 1)
-
-
-def test_error_of_the_driver_does_not_give_the_camera_up(world):
-    world.fault = OFF
-    source = world.supervised()
-    source.connect()
-    source.start()
-    world.fault = RuntimeError("a defect of the driver")
-    until(source, lambda s, _: "defect" in s.connection.reason)
-    world.fault = None
-    assert len(frames_of(source, 1)) == 1 and source.connection.state is ConnectionState.STREAMING
 
 
 def test_dead_camera_blocks_neither_stop_nor_close(world, streaming):
@@ -283,21 +272,16 @@ def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(w
     assert len(world.made) == 2 and "closed" not in world.made[0].calls
 
 
-def test_camera_that_was_lost_while_suspended_is_connected_anew(world, streaming):
+@pytest.mark.parametrize("lost", [False, True])
+def test_suspension_is_no_downtime_and_keeps_the_connection_unless_it_was_lost(world, streaming, lost):
     streaming.stop()
     assert streaming.connection.state is ConnectionState.CONNECTED
-    world.made[0].taken = True
-    streaming.start()
-    frames_of(streaming, 1)
-    assert len(world.made) == 2 and streaming.counters["control_losses"] == 1
-
-
-def test_suspension_is_no_downtime_and_keeps_the_connection(world, streaming):
-    streaming.stop()
     world.now_s += 100.0
+    world.made[0].taken = lost
     streaming.start()
     frames_of(streaming, 3)
-    assert len(world.made) == 1 and streaming.connection.downtime_s == 0.0
+    assert len(world.made) == 1 + lost and streaming.counters.get("control_losses", 0) == lost
+    assert streaming.connection.downtime_s == pytest.approx(0.0, abs=2 * STEP_S)
 
 
 @settings(deadline=None, max_examples=25)

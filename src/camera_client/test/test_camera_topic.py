@@ -176,14 +176,16 @@ def test_absent_driver_is_awaited_and_named(bench, session, scene, driver):
     assert int(camera.values()["failed_attempts"]) >= 1
 
 
-def test_topic_must_be_named(source):
-    with pytest.raises(InputError, match=r"topic\.name: is empty"):
-        source(name="").connect()
-
-
-def test_driver_in_the_clients_own_namespace_is_refused_with_the_remedy(source):
-    with pytest.raises(InputError, match=f"{NAMESPACE}/image_raw is in the namespace.*__ns:=/driver{NAMESPACE}"):
-        source(name="image_raw").connect()
+@pytest.mark.parametrize(
+    "name, said",
+    [
+        ("", r"topic\.name: is empty"),
+        ("image_raw", f"{NAMESPACE}/image_raw is in the namespace.*__ns:=/driver{NAMESPACE}"),
+    ],
+)
+def test_topic_that_cannot_be_the_drivers_is_refused_with_the_remedy(source, name, said):
+    with pytest.raises(InputError, match=said):
+        source(name=name).connect()
 
 
 def test_topic_of_another_type_is_refused(source, driver):

@@ -103,9 +103,6 @@ def test_room_shows_the_body_with_its_shadow_through_each_camera_s_lens(room):
         np.testing.assert_allclose(room.empty(model.name), camera.empty_room() * WHITE, atol=0.51)
         shaded = (expected.astype(int) < room.empty(model.name).astype(int) - 3) & (mask == 0)
         assert shaded.sum() > 500  # the shadow on the floor
-
-
-def test_empty_room_has_nobody_in_it(room):
     room.playback.occupied = False
     np.testing.assert_array_equal(room.views["cam01"].image(time.time_ns()), room.empty("cam01"))
 
@@ -187,11 +184,3 @@ def test_files_of_a_setup_tell_nobody_the_calibration(studio, tmp_path):
     assert (tmp_path / "board.yaml").exists() and (tmp_path / "floor_board.yaml").exists()
     (parameters,) = yaml.safe_load((tmp_path / "cameras" / "cam01.yaml").read_text()).values()
     assert "rig_file" not in parameters["ros__parameters"]
-
-
-def test_studio_without_a_setup_has_no_phases():
-    with (
-        Studio(StudioSettings(pattern=True, cameras=1, address=free_address())) as studio,
-        pytest.raises(InputError, match="--scene setup"),
-    ):
-        studio.handle({"do": "show", "phase": "floor"})

@@ -93,31 +93,28 @@ def test_rate_and_frames_follow_the_header_and_positions_without_a_channel_the_o
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "word"),
+    ("old", "new", "word"),
     [
-        ("HIERARCHY", "HIERARCH", 1, "HIERARCHY"),
-        ("OFFSET 0 10 0", "OFFSET 0 ten 0", 8, "ten"),
-        ("OFFSET 0 10 0", "OFFSET 0 nan 0", 8, "nan"),
-        ("CHANNELS 3 Z", "CHANNELS 3 W", 9, "Wrotation"),
-        ("CHANNELS 3", "CHANNELS three", 9, "three"),
-        ("JOINT Arm", "JOINT Hips", 6, "two joints"),
-        ("JOINT Arm", "JOINT", 6, "no name"),
-        ("JOINT Arm", "JOIN Arm", 6, "JOIN"),
-        ("Frames: 1", "Frames: 2", 17, "2 are announced"),
-        ("Frames: 1", "Frames: some", 17, "some"),
-        ("Time: 0.025", "Time: 0", 18, "frame time"),
-        ("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 0 0", 19, "8 numbers"),
-        ("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 0 0 x", 19, "'x'"),
-        ("0 0 0 0 0 0 0 0 0", "", 17, "0 frames"),
+        ("HIERARCHY", "HIERARCH", "HIERARCHY"),
+        ("OFFSET 0 10 0", "OFFSET 0 ten 0", "ten"),
+        ("OFFSET 0 10 0", "OFFSET 0 nan 0", "nan is no number"),
+        ("OFFSET 0 10 0", "", "no OFFSET"),
+        ("CHANNELS 3 Z", "CHANNELS 3 W", "CHANNELS 3"),
+        ("CHANNELS 3", "CHANNELS three", "three"),
+        ("JOINT Arm", "JOINT Hips", "two joints"),
+        ("JOINT Arm", "JOIN Arm", "JOIN"),
+        ("Frames: 1", "Frames: 2", "9 numbers where 2 frames of 9 channels"),
+        ("Frames: 1", "Frames: some", "some"),
+        ("Time: 0.025", "Time: 0", "frame time"),
+        ("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 0 0 x", "'x'"),
+        ("0 0 0 0 0 0 0 0 0", "", "0 numbers"),
     ],
 )
-def test_a_damaged_bvh_is_refused_with_file_line_and_word(
-    tmp_path: Path, old: str, new: str, line: int, word: str
-) -> None:
+def test_a_damaged_bvh_is_refused_with_file_and_word(tmp_path: Path, old: str, new: str, word: str) -> None:
     path = arm(tmp_path / "broken.bvh")
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=word) as caught:
         read_bvh(path)
-    assert caught.value.where == f"{path}, line {line}"
+    assert caught.value.where == str(path)

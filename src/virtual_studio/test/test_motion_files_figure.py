@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -68,9 +67,9 @@ def person(path: Path, turns: dict[str, str], frames: int = 3, prefix: str = "",
 LEG_M, FILE_HZ = 0.85, 100.0
 
 
-def figure(path: Path, **options: Any) -> tuple[Body, list[Pose]]:
+def figure(path: Path) -> tuple[Body, list[Pose]]:
     """The file's figure and its poses, at the file's own rate."""
-    recorded = RecordedMotion(path, **options)
+    recorded = RecordedMotion(path)
     return Body.from_points(recorded.reference_points(LEG_M)[0]), recorded.figure(LEG_M, FILE_HZ)
 
 
@@ -127,19 +126,23 @@ def test_every_naming_is_written_plainly_and_mirrored() -> None:
         assert not set(left) & set(right)
 
 
-def test_a_wrong_up_axis_is_refused_with_what_is_right(tmp_path: Path) -> None:
-    path = person(tmp_path / "t.bvh", {})
-    with pytest.raises(InputError, match="probably y"):
-        figure(path, up="z")
-    with pytest.raises(InputError, match="x, y or z"):
-        figure(path, up="w")
-
-
-def test_names_of_no_known_naming_are_refused_with_those_that_are(tmp_path: Path) -> None:
-    path = person(tmp_path / "t.bvh", {})
-    path.write_text(path.read_text().replace("JOINT Neck", "JOINT Kneck"))
-    with pytest.raises(InputError, match=r"no known way.*Kneck.*Mixamo"):
-        figure(path)
+@pytest.mark.parametrize(
+    ("old", "new", "up", "seconds", "said"),
+    [
+        ("", "", "z", 6.0, "probably y"),
+        ("", "", "w", 6.0, "x, y or z"),
+        ("JOINT Neck", "JOINT Kneck", "y", 6.0, r"no known way.*Kneck.*Mixamo"),
+        ("", "", "y", 1.0, "before the recorded motion begins"),
+        (f"0 {HEIGHT} 20.0", f"0 {HEIGHT} 500.0", "y", 6.0, r"the room is 2\.8 m wide"),
+    ],
+)
+def test_what_cannot_be_played_is_refused_with_the_remedy(
+    tmp_path: Path, old: str, new: str, up: str, seconds: float, said: str
+) -> None:
+    path = person(tmp_path / "t.bvh", {}, frames=21, step=1.0)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=said):
+        RecordedMotion(path, up)(Body.from_stature(1.75), seconds, 20.0)
 
 
 def test_a_recorded_motion_begins_in_the_t_pose_and_stands_on_the_floor_in_the_middle(tmp_path: Path) -> None:
@@ -161,17 +164,9 @@ def test_a_recorded_motion_begins_in_the_t_pose_and_stands_on_the_floor_in_the_m
     assert fastest < 5.0  # m/s: nothing jumps
 
 
-def test_a_recorded_motion_may_end_sooner_and_not_before_it_begins(tmp_path: Path) -> None:
-    path, body = person(tmp_path / "walk.bvh", {}, frames=201, step=1.0), Body.from_stature(1.75)
-    assert len(RecordedMotion(path)(body, 2.5, 20.0).poses) == 50
-    with pytest.raises(InputError, match="before the recorded motion begins"):
-        RecordedMotion(path)(body, 1.0, 20.0)
-
-
-def test_a_path_wider_than_the_room_is_refused(tmp_path: Path) -> None:
-    path = person(tmp_path / "far.bvh", {}, frames=101, step=5.0)
-    with pytest.raises(InputError, match=r"the room is 2\.8 m wide"):
-        RecordedMotion(path)(Body.from_stature(1.75), 6.0, 20.0)
+def test_a_recorded_motion_may_end_sooner(tmp_path: Path) -> None:
+    path = person(tmp_path / "walk.bvh", {}, frames=201, step=1.0)
+    assert len(RecordedMotion(path)(Body.from_stature(1.75), 2.5, 20.0).poses) == 50
 
 
 def test_the_studio_renders_a_motion_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -77,21 +77,9 @@ def test_part_around_the_camera_does_not_break_the_picture():
     np.testing.assert_array_equal(light, camera.empty_room())
 
 
-def test_person_darkens_the_floor_beside_it_by_the_strength_given_and_nowhere_far():
-    shade = floor_shadow(PERSON.place(motion().poses[0]))
-    assert shade.max() <= 1.0
-    assert shade.min() < 0.75
-    assert 0.02 < (shade < 0.97).mean() < 0.2
-    far = np.hypot(*(np.mgrid[: len(shade), : len(shade)] * CELL_M - HALF_WIDTH_M)) > 3.8
-    np.testing.assert_allclose(shade[far], 1.0, atol=1e-3)
-    half, none = (floor_shadow(PERSON.place(motion().poses[0]), strength) for strength in (0.5, 0.0))
-    np.testing.assert_allclose(1.0 - half, 0.5 * (1.0 - shade), atol=1e-6)
-    assert (none == 1.0).all()
-
-
-def test_shadow_falls_where_the_lamps_are_hidden():
+def test_shadow_falls_where_the_lamps_are_hidden_by_the_strength_given_and_nowhere_far():
     """Independent of the drawing: rays from floor cells to one lamp's points against all parts."""
-    capsules = PERSON.place(motion().poses[20])
+    capsules = PERSON.place(motion().poses[0])
     shade = floor_shadow(capsules)
     rng = np.random.default_rng(2)
     cells = rng.integers(90, len(shade) - 90, size=(300, 2))
@@ -105,6 +93,9 @@ def test_shadow_falls_where_the_lamps_are_hidden():
     expected = 1.0 - DARKNESS * blocked / len(lamps)
     assert np.abs(expected - shade[tuple(cells.T)]).mean() < 0.02  # the blur moves only the edges
     assert np.corrcoef(expected, shade[tuple(cells.T)])[0, 1] > 0.9
+    far = np.hypot(*(np.mgrid[: len(shade), : len(shade)] * CELL_M - HALF_WIDTH_M)) > 3.8
+    np.testing.assert_allclose(shade[far], 1.0, atol=1e-3)
+    np.testing.assert_allclose(1.0 - floor_shadow(capsules, 0.5), 0.5 * (1.0 - shade), atol=1e-6)
 
 
 def test_room_in_colour_has_the_light_of_the_grey_one_and_a_brown_floor():

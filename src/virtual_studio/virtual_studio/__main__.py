@@ -12,12 +12,12 @@ from pathlib import Path
 from capture_rig.errors import InputError
 from capture_rig.settings import FRAME_RATE, number
 from rig_calibration.boards.board import board_text, read_board
-from stick_figure.body import STATURES_M, TYPICAL_STATURE_M
+from stick_figure.body import STATURES_M, TYPICAL_STATURE_M, Body
 
 from .motions.catalogue import MOTIONS, MotionFunction
 from .motions.recorded import RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
-from .people import BUILDS, LENGTHS, OUTFITS, people_of_sizes, person_of
+from .people import BUILDS, OUTFITS, people_of_sizes
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
 from .recording.session import SESSION_FPS, RenderSettings, write_scene, write_session
 from .rig import HEIGHT_PX, WIDTH_PX, ring
@@ -25,7 +25,6 @@ from .rig import HEIGHT_PX, WIDTH_PX, ring
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 SIDE = number("pixels", 160, 8192, whole=True)
 SECONDS = number("s", 0.1, 3600)
-BUILD, LENGTH = (number("times the average", *limits) for limits in (BUILDS, LENGTHS))
 
 
 def image_size(text: str) -> tuple[int, int]:
@@ -49,8 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _session(options: argparse.Namespace) -> int:
     started = time.monotonic()
     rig = ring(options.cameras - options.ceiling, options.ceiling, options.size)
-    body = person_of(options.stature, options.arms, options.legs)
-    look = RenderSettings(options.seed, options.noise, options.flicker, options.shadow, options.build)
+    body = Body.from_stature(options.stature)
+    look = RenderSettings(seed=options.seed, noise=options.noise, shadow=options.shadow, build=options.build)
     progress = _show_progress if sys.stderr.isatty() else lambda done, total: None
     if options.motion in TOGETHER:
         cast, worn = people_of_sizes(len(TOGETHER[options.motion].roles)), [*OUTFITS.values()]
@@ -101,10 +100,7 @@ def _session_parser() -> argparse.ArgumentParser:
     option("--fps", type=FRAME_RATE, default=SESSION_FPS, help="frames a second")
     option("--motion-up", default="y", help="the file's axis that points up")
     option("--stature", type=number("m", *STATURES_M), default=TYPICAL_STATURE_M, help="standing height, m")
-    option("--build", type=BUILD, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
-    option("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")
-    option("--legs", type=LENGTH, default=1.0, help="length of the legs over the average's")
-    option("--flicker", type=number("", 0, 0.5), default=0.005, help="relative deviation of a frame's brightness")
+    option("--build", type=number("times the average", *BUILDS), default=1.0, help="thickness of the body")
     option("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
     return parser
 

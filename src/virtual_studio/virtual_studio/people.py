@@ -42,8 +42,8 @@ LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
 """Ankle height over stature between which a foot turns from level to following its calf."""
 FREE_FOOT_TILT, LEVEL_FOOT_TILT = 0.15, 0.40
 """Cosine of a calf's tilt between which its foot turns from following it (lying) to level (standing, squatting)."""
-BUILDS, LENGTHS = (0.6, 1.6), (0.85, 1.15)
-"""Builds, and lengths of arms and legs, that people have, over the average's."""
+BUILDS = (0.6, 1.6)
+"""Builds that people have, over the average's."""
 ARMS, LEGS = [L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM], [L_THIGH, R_THIGH, L_CALF, R_CALF]
 
 

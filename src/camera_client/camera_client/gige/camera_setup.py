@@ -8,6 +8,7 @@ from capture_rig.errors import InputError
 from gige_vision.gvsp import PixelFormat
 
 from ..settings import AravisSettings
+from .capture_time import SECOND
 from .features import FLOAT_TOLERANCE, Features
 from .pixel_formats import can_be_halved, choose_format, find_format, image_shape, standard_name
 from .triggers import switch_triggers_off
@@ -49,6 +50,11 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str, h
     _set_region(features, settings)
     _set_exposure(features, settings)
     _set_rate(features, settings)
+    if settings.packet_size:
+        features.set("GevSCPSPacketSize", settings.packet_size, "aravis.packet_size")
+    if settings.packet_delay_ns >= 0:
+        ticks_a_second = features.number("GevTimestampTickFrequency") or SECOND
+        features.set("GevSCPD", round(settings.packet_delay_ns * ticks_a_second / SECOND), "aravis.packet_delay_ns")
     width, height = _integer(features, "Width"), _integer(features, "Height")
     return CameraSetup(
         pixel_format,
@@ -87,7 +93,8 @@ def _set_region(features: Features, settings: AravisSettings) -> None:
             continue
         if features.find(offset) is not None:
             features.set(offset, 0, key)
-        largest = _largest(features, size)
+        limits = features.access.limits(size)  # at offset 0
+        largest = int(limits[1]) if limits else _integer(features, f"{size}Max")
         if wanted_size >= 0:
             features.set(size, wanted_size or largest, f"aravis.{size.lower()}")
         left = largest - _integer(features, size)
@@ -119,12 +126,6 @@ def _set_rate(features: Features, settings: AravisSettings) -> None:
             f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
             "region smaller, or raise the packet size"
         )
-
-
-def _largest(features: Features, size: str) -> int:
-    """Largest width or height at offset 0."""
-    limits = features.access.limits(size)
-    return int(limits[1]) if limits else _integer(features, f"{size}Max")
 
 
 def _integer(features: Features, name: str) -> int:

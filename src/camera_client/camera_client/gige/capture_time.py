@@ -1,4 +1,4 @@
-"""Stamps frames with their time of capture on the system's clock (UTC), from PTP, the camera's clock, or arrival.
+"""Stamps frames with their time of capture on the system's clock (UTC), from PTP, or from the camera's clock.
 
 A camera's own clock is mapped onto the host's, free of the jitter of the network and of our scheduling. Every frame
 gives one bound: it cannot have arrived before it was taken, so arrival - camera time is the clocks' offset plus a
@@ -28,67 +28,11 @@ JUMP_NS = 50 * MS  # delays vary by less, unless for a moment
 PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is set wrong
 PTP_IN_STEP = ("Slave", "Master")
 MAPPED, PTP = "camera, mapped onto the host", "PTP"  # whose clock a stamp is from
-ARRIVAL_UNCERTAINTY_NS = 5 * MS  # readout, transfer and scheduling between the end of exposure and its first packet
+LATE_NS = 5 * MS  # what readout, transfer and scheduling may take from the end of exposure to a frame's first packet
 UNREAD_CLOCK_UNCERTAINTY_NS = 1 * MS  # readout and first packet, of a camera whose clock cannot be read
 UNSEEN_DELAY_NS = 200_000  # by which the smallest delay may change with the computers' load, or a drift not seen yet
 MIDDLE = {"exposure_start": 0.5, "exposure_middle": 0.0, "exposure_end": -0.5}
 """Share of the exposure from the instant that the camera stamps to its middle."""
-
-
-class CameraClock:
-    """Maps camera time to host time; both in ns.
-
-    ``jumps`` counts how often the camera's clock was set: the map then begins anew.
-    """
-
-    def __init__(self) -> None:
-        self.jumps = 0
-        self._begin()
-
-    def _begin(self) -> None:
-        """Forget everything."""
-        self._least: deque[tuple[int, int]] = deque(maxlen=BUCKETS)  # camera time that begins a bucket, least offset
-        self._first_ns = self._last_ns = 0  # frames' camera times
-
-    def to_host_ns(self, camera_ns: int, arrival_ns: int) -> int:
-        """Host time of a camera time, for a frame that arrived at ``arrival_ns``: as if it was delayed the least.
-
-        The result lies after the true instant by the smallest delay there is (exposure, readout, transfer).
-        """
-        offset_ns = arrival_ns - camera_ns
-        if self._has_jumped(camera_ns, offset_ns):
-            self.jumps += 1
-            self._begin()
-        if not self._least:
-            self._first_ns = camera_ns
-        if not self._least or camera_ns - self._least[-1][0] >= BUCKET_NS:
-            self._least.append((camera_ns, offset_ns))
-        else:
-            begun_ns, least_ns = self._least[-1]
-            self._least[-1] = begun_ns, min(least_ns, offset_ns)
-        self._last_ns = camera_ns
-        return camera_ns + self.offset_ns
-
-    @property
-    def offset_ns(self) -> int:
-        """Host minus camera time, smallest delay included."""
-        return min(offset_ns for _, offset_ns in self._least)
-
-    @property
-    def spread_ns(self) -> float:
-        """How far the least delayed frames typically lie above the map: what delays and drift leave unsure."""
-        return median(offset_ns for _, offset_ns in self._least) - self.offset_ns
-
-    @property
-    def span_ns(self) -> int:
-        """Camera time since the map began."""
-        return self._last_ns - self._first_ns
-
-    def _has_jumped(self, camera_ns: int, offset_ns: int) -> bool:
-        if not self._least:
-            return False
-        early_ns = self.offset_ns - offset_ns  # it would have come before it was taken: set forward
-        return camera_ns <= self._last_ns or early_ns > (JUMP_NS if self.span_ns > SECOND else SECOND)
 
 
 # --- reading a camera's clock over the network
@@ -158,21 +102,10 @@ class Stamp(NamedTuple):
     clock: str
 
 
-class ArrivalTime:
-    """The host's clock at the first packet, less half the exposure: cameras send once the exposure is over.
-
-    Uncertain by half the exposure and what readout, transfer and scheduling may take.
-    """
-
-    name, jumps = "host, at arrival", 0
-
-    def stamp(self, times: FrameTimes) -> Stamp:
-        half_ns = times.exposure_ns // 2
-        return Stamp(times.arrival_ns - half_ns, half_ns + ARRIVAL_UNCERTAINTY_NS, self.name)
-
-
 class CameraTime:
     """The camera's own clock, mapped onto the host's by the least delayed frames; or as it is, where PTP keeps it.
+
+    It stamps the frames of one run, in the order of their arrival (see :func:`after_last`).
 
     reading : of the camera's clock at the start: it gives the smallest delay of a frame, which is then taken out. None:
         the delay is taken for the rest of the exposure, and the stamp is uncertain by a millisecond more.
@@ -182,7 +115,8 @@ class CameraTime:
 
     The map is uncertain by what the reading is and by how unsteady the smallest delay is (twice the spread of the least
     delayed frames, and 0.2 ms for changes that no frame shows); in the first second after the camera's clock was set
-    also by what a frame may be late.
+    also by what a frame may be late. ``jumps`` counts how often it was: the map then begins anew.
+    ``name``: whose clock the stamps are from, for diagnostics.
     """
 
     def __init__(
@@ -195,41 +129,60 @@ class CameraTime:
         self._reading, self._to_middle = reading, MIDDLE[camera_stamps]
         self._ptp_ahead_ns, self._ptp_uncertainty_ns = ptp_ahead_ns, ptp_uncertainty_ns
         self.name = MAPPED if ptp_ahead_ns is None else PTP
-        self._clock = CameraClock()
+        self.jumps = 0
+        self._least: deque[tuple[int, int]] = deque(maxlen=BUCKETS)  # camera time that begins a bucket, least offset
+        self._first_ns = self._last_ns = 0  # frames' camera times since the map began
         self._delay_ns: int | None = None
 
-    @property
-    def jumps(self) -> int:
-        return self._clock.jumps
-
     def stamp(self, times: FrameTimes) -> Stamp:
-        host_ns = self._clock.to_host_ns(times.camera_ns, times.arrival_ns)
+        self._take_bound(times.camera_ns, times.arrival_ns - times.camera_ns)
         to_middle_ns = round(self._to_middle * times.exposure_ns)
-        mapped_ns = host_ns - self._smallest_delay(times) + to_middle_ns
+        # as if the frame was delayed the least
+        mapped_ns = times.camera_ns + self._offset_ns - self._smallest_delay(times) + to_middle_ns
         if self._ptp_ahead_ns is not None:
             taken_ns = times.camera_ns - self._ptp_ahead_ns + to_middle_ns
             if abs(taken_ns - mapped_ns) <= PTP_TOLERANCE_NS:
                 return Stamp(taken_ns, self._ptp_uncertainty_ns, PTP)
+        spread_ns = median(offset_ns for _, offset_ns in self._least) - self._offset_ns
         unsure_ns = UNREAD_CLOCK_UNCERTAINTY_NS if self._reading is None else self._reading.uncertainty_ns
-        unsure_ns += UNSEEN_DELAY_NS + round(2 * self._clock.spread_ns)
-        if self._clock.jumps and self._clock.span_ns < SECOND:
-            unsure_ns += ARRIVAL_UNCERTAINTY_NS
+        unsure_ns += UNSEEN_DELAY_NS + round(2 * spread_ns)
+        if self.jumps and self._span_ns < SECOND:
+            unsure_ns += LATE_NS
         return Stamp(mapped_ns, unsure_ns, MAPPED)
+
+    @property
+    def _offset_ns(self) -> int:
+        """Host minus camera time, smallest delay included."""
+        return min(offset_ns for _, offset_ns in self._least)
+
+    @property
+    def _span_ns(self) -> int:
+        """Camera time since the map began."""
+        return self._last_ns - self._first_ns
+
+    def _take_bound(self, camera_ns: int, offset_ns: int) -> None:
+        """Take a frame's offset, host minus camera time, into the map."""
+        if self._least:
+            early_ns = self._offset_ns - offset_ns  # it would have come before it was taken: set forward
+            if camera_ns <= self._last_ns or early_ns > (JUMP_NS if self._span_ns > SECOND else SECOND):
+                self.jumps += 1
+                self._least.clear()
+        if not self._least:
+            self._first_ns = camera_ns
+        if not self._least or camera_ns - self._least[-1][0] >= BUCKET_NS:
+            self._least.append((camera_ns, offset_ns))
+        else:
+            begun_ns, least_ns = self._least[-1]
+            self._least[-1] = begun_ns, min(least_ns, offset_ns)
+        self._last_ns = camera_ns
 
     def _smallest_delay(self, times: FrameTimes) -> int:
         """From the instant that the camera stamps to the arrival of the least delayed frame."""
         if self._reading is None:
             return round((0.5 + self._to_middle) * times.exposure_ns)
-        if self._delay_ns is None or (self._clock.jumps == 0 and self._clock.span_ns < BUCKETS * BUCKET_NS):
-            self._delay_ns = max(self._clock.offset_ns - self._reading.offset_ns, 0)
+        if self._delay_ns is None or (self.jumps == 0 and self._span_ns < BUCKETS * BUCKET_NS):
+            self._delay_ns = max(self._offset_ns - self._reading.offset_ns, 0)
         return self._delay_ns
-
-
-TimeSource = ArrivalTime | CameraTime
-"""Stamps the frames of one run, in the order of their arrival (see :func:`after_last`): ``stamp(times)``.
-
-``name``: whose clock the stamps are from, for diagnostics; ``jumps``: how often it was found to have been set.
-"""
 
 
 def after_last(stamp_ns: int, last_ns: int) -> int:
@@ -239,23 +192,19 @@ def after_last(stamp_ns: int, last_ns: int) -> int:
 
 def choose_time_source(
     settings: AravisSettings, reading: ClockReading | None, ptp_status: str | None, where: str
-) -> tuple[TimeSource, str]:
+) -> tuple[CameraTime, str]:
     """Return the source for ``settings.stamp_source``, and a warning ("" when there is none).
 
     ptp_status : the camera's PTP status; None where it has no PTP.
     Raises InputError when PTP was demanded and the camera's clock is not that of PTP.
     """
     wanted, offset_s = settings.stamp_source, settings.tai_utc_offset_s
-    if wanted == "arrival":
-        return ArrivalTime(), ""
     mapped = CameraTime(reading, settings.camera_stamps)
     in_step = ptp_status in PTP_IN_STEP
     if wanted == "camera" or (wanted == "auto" and not in_step):
         return mapped, ""
-    if not in_step:
-        objection = f"its PTP status is {ptp_status}, not {' or '.join(PTP_IN_STEP)} (is a grandmaster on the network?)"
-    elif reading is None:
-        objection = "the camera's clock cannot be read, so nothing shows that it is in step with this host's"
+    if not in_step or reading is None:
+        objection = "its clock cannot be read" if in_step else f"its PTP status is {ptp_status}"
     else:
         away_ns = -reading.offset_ns - offset_s * SECOND
         unsure_ns = max(abs(away_ns), reading.uncertainty_ns)
@@ -267,6 +216,6 @@ def choose_time_source(
             "clock (chrony; ptp4l and phc2sys)"
         )
     if wanted == "ptp":
-        remedy = "Set aravis.stamp_source to auto or camera to do without."
+        remedy = "Is a grandmaster on the network? Set aravis.stamp_source to auto or camera to do without."
         raise InputError(f"cannot be stamped by PTP: {objection}", where=where, remedy=remedy)
     return mapped, f"PTP is not used for stamps: {objection}"

@@ -76,8 +76,14 @@ def find_camera(wanted: AravisSettings) -> FoundCamera:
 
 
 def discover_at(address: str) -> FoundCamera:
-    """The camera at an IPv4 address. Raises InputError for what is no unicast address, else SourceUnavailable."""
-    _check_unicast(address)
+    """The camera at an IPv4 address. Raises InputError for what is none of one device, else SourceUnavailable."""
+    try:
+        ip = ipaddress.IPv4Address(address)
+    except ValueError:
+        ip = ipaddress.IPv4Address(0)
+    if ip.is_multicast or ip.is_unspecified or ip.packed[3] == 255:
+        remedy = "Give the camera's address, such as 192.168.1.10."
+        raise InputError(f"{address!r} is not the IPv4 address of one device", where="aravis.address", remedy=remedy)
     reason = "nothing answered"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         try:
@@ -158,16 +164,6 @@ def _fits(device: DeviceRecord, wanted: AravisSettings) -> bool:
 def _named(device: DeviceRecord) -> str:
     user_id = f", user id {device.user_id}" if device.user_id else ""
     return f"{device.manufacturer} {device.model} (serial {device.serial}{user_id}) at {device.address}"
-
-
-def _check_unicast(address: str) -> None:
-    try:
-        ip = ipaddress.IPv4Address(address)
-    except ValueError:
-        ip = ipaddress.IPv4Address(0)
-    if ip.is_multicast or ip.is_unspecified or ip.packed[3] == 255:
-        remedy = "Give the camera's address, such as 192.168.1.10."
-        raise InputError(f"{address!r} is not the IPv4 address of one device", where="aravis.address", remedy=remedy)
 
 
 def _answers(sock: socket.socket, deadline_s: float) -> Iterator[DeviceRecord]:

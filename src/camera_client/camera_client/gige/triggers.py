@@ -59,7 +59,9 @@ def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callab
         features.set("TriggerActivation", settings.trigger_activation, "aravis.trigger_activation")
     elif settings.sync == "action":
         _listen_to_actions(features, settings)
-        _trigger_by(features, settings, _action_source(features))
+        offered = features.access.choices(features.require("TriggerSource", "aravis.sync"))
+        signals = sorted(name for name in offered if name.startswith("Action"))  # some cameras count from 0
+        _trigger_by(features, settings, signals[0] if signals else "Action1")
     elif settings.sync == "software":
         features.require("TriggerSoftware", "aravis.sync")
         _trigger_by(features, settings, "Software")
@@ -104,12 +106,6 @@ def _trigger_by(features: Features, settings: AravisSettings, source: str) -> No
         features.set(selector, FRAME_TRIGGER, "aravis.sync")
     features.set("TriggerSource", source, "aravis.trigger_line" if settings.sync == "line" else "aravis.sync")
     features.set("TriggerMode", "On", "aravis.sync")
-
-
-def _action_source(features: Features) -> str:
-    """Return the camera's first action signal: Action1, or Action0 where it counts from 0."""
-    offered = features.access.choices(features.require("TriggerSource", "aravis.sync"))
-    return next((name for name in sorted(offered) if name.startswith("Action")), "Action1")
 
 
 def _listen_to_actions(features: Features, settings: AravisSettings) -> None:

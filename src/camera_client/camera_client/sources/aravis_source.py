@@ -8,18 +8,23 @@ device is constructed here from the two addresses of the link instead.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Iterator
 from typing import Any
+
+import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.stamps import CaptureClock
 from gige_vision import bootstrap
+from gige_vision.gvsp import PixelFormat
 
-from ..frame_source import Frame, FrameSource, SourceUnavailable
+from ..frame_source import Frame, FrameSource, FrameStatistics, Image, SourceUnavailable
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import ClockReading, TimeSource, after_last, choose_time_source, read_clock
+from ..gige.capture_time import CameraTime, ClockReading, FrameTimes, after_last, choose_time_source, read_clock
 from ..gige.discovery import FoundCamera, described, find_camera
 from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, device_errors
+from ..gige.pixel_formats import to_image
 from ..gige.triggers import (
     ACTION_COUNTERS,
     ActionSender,
@@ -30,10 +35,13 @@ from ..gige.triggers import (
     synchronise,
 )
 from ..settings import AravisSettings
-from .aravis_stream import AravisStream
 
 INSTALL = "Install it: sudo apt install python3-gi gir1.2-aravis-0.8 (in a venv made with --system-site-packages)."
 TRIGGER_COUNTERS = ("triggers", "triggers_missed", "triggers_refused")
+US_TO_NS = 1000
+# Thresholds: measured by python bench/camera.py --loss 0 0.0005 0.005.
+FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
+PACKET_TIMEOUT_US = 5000  # ... and again after this
 
 
 def import_aravis() -> tuple[Any, Any, Any]:
@@ -71,7 +79,7 @@ class AravisSource(FrameSource):
         self._trigger: TriggerThread | None = None
         self._actions: ActionSender | None = None
         self._schedule: TriggerSchedule | None = None
-        self._time: TimeSource | None = None
+        self._time: CameraTime | None = None
         self._streaming = False
         self._lost = False
         self._last_stamp_ns = 0
@@ -180,7 +188,7 @@ class AravisSource(FrameSource):
         self._camera = self._Aravis.Camera.new_with_device(self._device)
         return Features(access, self.description)
 
-    def _prepare_time_and_triggers(self, features: Features, found: FoundCamera) -> TimeSource:
+    def _prepare_time_and_triggers(self, features: Features, found: FoundCamera) -> CameraTime:
         """PTP first, for everything else counts on the clock; then the triggers; then whose time stamps frames."""
         s = self._settings
         if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
@@ -199,7 +207,7 @@ class AravisSource(FrameSource):
             self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self._counters)
         return self._time_source(features, reading)
 
-    def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
+    def _time_source(self, features: Features, reading: ClockReading | None) -> CameraTime:
         s = self._settings
         status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
         source, warning = choose_time_source(s, reading, status, self.description)
@@ -207,7 +215,7 @@ class AravisSource(FrameSource):
         return source
 
     def _read_details(
-        self, features: Features, found: FoundCamera, setup: CameraSetup, time_source: TimeSource
+        self, features: Features, found: FoundCamera, setup: CameraSetup, time_source: CameraTime
     ) -> dict[str, str]:
         device = found.device
         details = {
@@ -266,3 +274,103 @@ class AravisSource(FrameSource):
         except DeviceRefusal as refusal:
             kind = SourceUnavailable if self._features is None else InputError
             raise kind(f"refuses {when} ({refusal})", where=self.description, remedy=remedy) from None
+
+
+# --- the stream: its packets and socket, its buffers, and what becomes of every frame
+
+
+class AravisStream:
+    """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
+
+    statistics : counts every frame, whole or not. ``warnings`` of the set-up.
+    """
+
+    INFOS = ("resend_requests", "resent_packets", "missing_packets", "underruns", "error_packets")  # Aravis: "n_..."
+    COUNTERS = (*INFOS, "wrong_format")
+
+    def __init__(
+        self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, statistics: FrameStatistics
+    ) -> None:
+        self._Aravis, self._setup, self._statistics = Aravis, setup, statistics
+        self._agreed = (camera.get_pixel_format(), setup.width, setup.height, 0)
+        self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
+        self._image_bytes = PixelFormat[setup.pixel_format].image_bytes(setup.width, setup.height)
+        self._wrong_format, self._last_id, self._has_run = 0, 0, False
+        adjustment, resend = Aravis.GvPacketSizeAdjustment, Aravis.GvStreamPacketResend
+        camera.gv_set_packet_size_adjustment(adjustment.NEVER if settings.packet_size else adjustment.ALWAYS)
+        # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
+        camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        self._stream = camera.create_stream(None, None)
+        capabilities = camera.get_device().read_register(bootstrap.GVCP_CAPABILITY)
+        able = bool(capabilities & bootstrap.Capability.PACKET_RESEND)
+        self.warnings = () if able else ("the camera cannot send lost packets again: every lost packet costs a frame",)
+        properties = {
+            "packet-resend": resend.ALWAYS if able else resend.NEVER,
+            "packet-request-ratio": 1.0,  # all of a frame's packets may be asked for again
+            "initial-packet-timeout": FIRST_PACKET_TIMEOUT_US,
+            "packet-timeout": PACKET_TIMEOUT_US,
+            "frame-retention": round(settings.frame_retention_ms * 1000 / settings.clock_speed),
+            "socket-buffer": Aravis.GvStreamSocketBuffer.FIXED,
+            "socket-buffer-size": settings.socket_buffer_bytes,
+        }
+        for name, value in properties.items():
+            self._stream.set_property(name, value)
+        payload = max(camera.get_payload(), self._image_bytes)
+        for _ in range(settings.buffers):
+            memory = np.empty(payload, np.uint8)
+            buffer = Aravis.Buffer.new_full(payload, memory.ctypes.data, None, None)
+            buffer.memory = memory  # which PyGObject keeps as long as the buffer lives
+            self._stream.push_buffer(buffer)
+
+    def restart(self) -> None:
+        """Forget what a former run left behind; the next frame is the first of a new run."""
+        if self._has_run:  # Aravis would take the ids of a new run, which begin at 1 again, for late packets
+            self._stream.stop_thread(False)
+            while (buffer := self._stream.try_pop_buffer()) is not None:
+                self._give_back(buffer)
+            self._stream.start_thread()
+        self._has_run, self._last_id = True, 0
+        self._statistics.restart()
+
+    def grab(self, timeout_s: float) -> tuple[Image, int, FrameTimes] | None:
+        """Return image, id and times of the next frame; None when it was not whole, or none came in time.
+
+        Of the times the arrival of the first packet is in UTC. Waits without the GIL.
+        """
+        buffer = self._stream.timeout_pop_buffer(int(timeout_s * 1e6))
+        if buffer is None:
+            return None
+        try:
+            return self._take(buffer)
+        finally:
+            self._give_back(buffer)
+
+    def counts(self) -> dict[str, int]:
+        """Return :data:`COUNTERS` of this instant."""
+        counted = {name: self._stream.get_info_uint64_by_name(f"n_{name}") for name in self.INFOS}
+        return {**counted, "wrong_format": self._wrong_format}
+
+    def _take(self, buffer: Any) -> tuple[Image, int, FrameTimes] | None:
+        # without its leader packet a frame has no id, and is the one after the last
+        self._last_id = buffer.get_frame_id() or self._last_id + 1
+        whole = buffer.get_status() == self._Aravis.BufferStatus.SUCCESS
+        agreed = whole and self._is_as_agreed(buffer)
+        self._wrong_format += whole and not agreed
+        self._statistics.add(self._last_id, complete=agreed)
+        if not agreed:
+            return None
+        setup, raw = self._setup, buffer.memory[: self._image_bytes]
+        image = to_image(raw, setup.pixel_format, setup.width, setup.height, setup.halved)
+        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
+        return image, self._last_id, FrameTimes(buffer.get_timestamp(), arrival_ns, self._exposure_ns)
+
+    def _is_as_agreed(self, buffer: Any) -> bool:
+        if buffer.get_payload_type() != self._Aravis.BufferPayloadType.IMAGE:
+            return False
+        padding = buffer.get_image_padding()
+        came = buffer.get_image_pixel_format(), buffer.get_image_width(), buffer.get_image_height(), padding[0]
+        return came == self._agreed
+
+    def _give_back(self, buffer: Any) -> None:
+        buffer.set_frame_id(0)  # or a frame without leader would keep the id of the last one in this buffer
+        self._stream.push_buffer(buffer)

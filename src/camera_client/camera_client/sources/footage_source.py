@@ -184,7 +184,10 @@ class FootageSource(FrameSource):
         self.description = f"footage {settings.path}"
         self._settings, self._channels, self._now_ns = settings, channels, now_ns
         self._shared = shared or SharedClock()
-        self._make_pace = pace or self._pace_of_settings
+        rate = settings.rate
+        self._make_pace: Callable[[float], Pace] = pace or (
+            lambda fps: WallClockPace(fps, rate) if rate > 0 else AcknowledgedPace(fps, WINDOW, PATIENCE_S)
+        )
         self._reader: FootageReader | None = None
         self._images: deque[Future[Image | None]] = deque()  # being decoded, or in store; None after the last
         self._frame, self._clock = 0, FootageClock(0, 0)
@@ -311,7 +314,3 @@ class FootageSource(FrameSource):
         self._images.popleft()
         self._decode_ahead()
         self._frame += 1
-
-    def _pace_of_settings(self, fps: float) -> Pace:
-        s = self._settings
-        return WallClockPace(fps, s.rate) if s.rate > 0 else AcknowledgedPace(fps, WINDOW, PATIENCE_S)

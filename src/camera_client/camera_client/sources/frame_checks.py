@@ -55,18 +55,12 @@ class FrameChecks:
         """Flags of ``image`` (H, W) or (H, W, 3) uint8, taken at ``stamp_ns``: some of the keys of REMEDIES."""
         sample = grid_sample(image)
         frozen = self._is_frozen(sample, stamp_ns)
-        if self._is_dark(sample):
+        if is_black(sample) and self._black_share < DARK_SHARE:
             return (DARK,)  # a black image has no noise: whether it is frozen is not visible
-        if self._is_saturated(sample):
+        white = int(np.count_nonzero(sample >= WHITE_LEVEL))
+        if white > (self._white_share + SATURATED_SHARE) * len(sample):
             return (SATURATED,)  # nor has a white one
         return (FROZEN,) if frozen else ()
-
-    def _is_dark(self, sample: npt.NDArray[np.uint8]) -> bool:
-        return is_black(sample) and self._black_share < DARK_SHARE
-
-    def _is_saturated(self, sample: npt.NDArray[np.uint8]) -> bool:
-        white = int(np.count_nonzero(sample >= WHITE_LEVEL))
-        return white > (self._white_share + SATURATED_SHARE) * len(sample)
 
     def _is_frozen(self, sample: npt.NDArray[np.uint8], stamp_ns: int) -> bool:
         """Sensor noise makes every frame differ somewhere: equal ones are one frame sent again."""
@@ -86,10 +80,5 @@ def is_black(sample: npt.NDArray[np.uint8]) -> bool:
 
 def grid_sample(image: np.ndarray) -> np.ndarray:
     """About SAMPLES pixels of the image (n,), or all channels of them, on a regular grid."""
-    step = grid_step(image.shape)
+    step = max(1, math.isqrt(image.shape[0] * image.shape[1] // SAMPLES))
     return np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step]).reshape(-1)
-
-
-def grid_step(shape: tuple[int, ...]) -> int:
-    """Return every how many rows and columns that grid has a pixel."""
-    return max(1, math.isqrt(shape[0] * shape[1] // SAMPLES))

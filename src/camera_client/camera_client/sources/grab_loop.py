@@ -49,7 +49,6 @@ class GrabLoop:
         self.start = self._thread.start
 
     def stop(self) -> None:
-        """End the loop and stop the source."""
         self._stopping.set()
         self.wait(STOP_TIMEOUT_S)
         self._source.stop()

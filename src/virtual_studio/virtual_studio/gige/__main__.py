@@ -18,7 +18,7 @@ from capture_rig.yaml_file import parse_value, save_mapping
 from rig_calibration.boards.board import read_board
 
 from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
-from .device import FAULT_NAMES
+from .device import NO_FAULTS
 from .loop import Request, ask, default_path
 from .rendered_scenes import PHASES
 from .studio import Studio, StudioSettings
@@ -36,7 +36,7 @@ DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam clie
 EPILOG = f"""talking to a running studio:
   status                          what every camera does
   set [CAMERA ...] FAULT=VALUE    faults:
-{textwrap.fill(", ".join(FAULT_NAMES), 78, initial_indent=" " * 6, subsequent_indent=" " * 6)}
+{textwrap.fill(", ".join(NO_FAULTS), 78, initial_indent=" " * 6, subsequent_indent=" " * 6)}
   clear [CAMERA ...]              no faults any more
   off | on [CAMERA ...]           power (all cameras where none is named)
   room empty | occupied           for learning the background

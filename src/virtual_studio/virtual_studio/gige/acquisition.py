@@ -20,7 +20,6 @@ from .device import CameraSettings, Device, Faults
 from .feature_table import PTP_STATES
 from .imaging import ImagingPipeline, pixel_bytes
 from .loop import EventLoop, Timer
-from .registers import RegisterError, Value
 from .scenes import CameraScene
 from .stream import StreamChannel
 
@@ -30,15 +29,14 @@ MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
 LONGEST_BACKLOG_NS = 250_000_000  # frames, and pulses of the generator, that are late by more are left out
 REMEMBERED = 4096
-LOCKED = ("Width", "Height", "BinningHorizontal", "BinningVertical", "PixelFormat")
 PERIODIC_SIGNAL = "PeriodicSignal1"
 
 
-def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int:
-    """Returns the first whole multiple of a period, counted from the origin, after an instant; to the nearest ns."""
+def next_multiple(after_ns: int, period_ns: Fraction) -> int:
+    """Returns the first whole multiple of a period after an instant; to the nearest ns."""
     length, share = period_ns.numerator, period_ns.denominator  # whole numbers: a hundred times as fast
-    index = -(-(2 * (after_ns - origin_ns) + 1) * share // (2 * length))  # the first that is rounded to beyond it
-    return origin_ns + (2 * index * length + share) // (2 * share)
+    index = -(-(2 * after_ns + 1) * share // (2 * length))  # the first that is rounded to beyond it
+    return (2 * index * length + share) // (2 * share)
 
 
 class CameraClock:
@@ -110,8 +108,6 @@ class Acquisition:
         r.writes |= {"AcquisitionStart": self.start, "AcquisitionStop": self.stop}
         r.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
         r.writes |= dict.fromkeys(("TriggerMode", "TriggerSource"), self._rearm)
-        for name in LOCKED:
-            r.checks[name].append(self._refuse_while_running)
 
     @property
     def source(self) -> str:
@@ -129,7 +125,6 @@ class Acquisition:
         return max(_period_ns(rate_hz), Fraction(self._imaging.exposure_ns))
 
     def start(self) -> None:
-        """Begins with block 1."""
         if self.running:
             return
         self._stream.discard_blocks()
@@ -138,7 +133,6 @@ class Acquisition:
         self._rearm()
 
     def stop(self) -> None:
-        """Stops: no frame leaves any more."""
         self.running = False
         self._cancel()
 
@@ -180,8 +174,7 @@ class Acquisition:
         """Schedule the next exposure of a camera whose exposures follow each other by themselves."""
         period_ns = self.period_ns
         if self.source == PERIODIC_SIGNAL:  # which the camera's own clock counts
-            delay_ns = round(self._registers.real("BslPeriodicSignalDelay") * 1000)
-            start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns, delay_ns))
+            start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns))
             self._expose_at(max(start_ns, after_ns + 1))
         elif not self.source:
             self._expose_at(next_multiple(after_ns, period_ns))
@@ -199,8 +192,6 @@ class Acquisition:
         self._counters["frames_exposed"] += 1
         if not self._faults.stall:
             self._send(start_ns, exposure_ns)
-        if late_ns > LONGEST_BACKLOG_NS:
-            self._counters["late_restarts"] += 1
         self._expose_after(self._now_ns() if late_ns > LONGEST_BACKLOG_NS else start_ns)
 
     def _send(self, start_ns: int, exposure_ns: int) -> None:
@@ -218,10 +209,6 @@ class Acquisition:
         for timer in self._timers:
             timer.cancel()
         self._timers = []
-
-    def _refuse_while_running(self, value: Value) -> None:
-        if self.running:
-            raise RegisterError(Status.ACCESS_DENIED)
 
 
 @lru_cache

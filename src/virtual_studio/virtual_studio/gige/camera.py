@@ -46,12 +46,10 @@ class SimulatedCamera:
         self._user_id = self.settings.user_id
         height, width, *channels = scene.shape
         self.features = feature_table(self.settings, address, width, height, bool(channels))
-        self._description = genicam_xml(self.features)
         self._powered: _PoweredCamera | None = None
         self._running = False
 
     def start(self) -> SimulatedCamera:
-        """Powers the camera on."""
         if self._own_loop:
             self.loop.start()
         self._running = True
@@ -63,7 +61,6 @@ class SimulatedCamera:
         return self
 
     def close(self) -> None:
-        """Powers the camera off for good."""
         if self._running:
             self._running = False
             self.power_off()
@@ -100,12 +97,13 @@ class SimulatedCamera:
 
     def _power_on(self) -> None:
         if self._powered is None:
-            self._powered = _PoweredCamera(self, self._description, self._user_id)
+            self._powered = _PoweredCamera(self, self._user_id)
 
     def _power_off(self) -> None:
         if self._powered is not None:
             self._user_id = str(self._powered.registers["DeviceUserID"])
-            self._powered.close()
+            self._powered.server.close()
+            self._powered.stream.close()
             self._powered = None
 
     def _line_rose(self, instant_ns: int) -> None:
@@ -114,53 +112,45 @@ class SimulatedCamera:
 
     def _status(self) -> dict[str, object]:
         status: dict[str, object] = {"address": self.address, "serial": self.settings.serial, "power": self.powered}
-        if self._powered is not None:
-            status |= self._powered.status()
+        if (powered := self._powered) is not None:
+            owner, r, acquisition = powered.server.owner, powered.registers, powered.acquisition
+            lateness_us = np.percentile(np.array(acquisition.lateness_ns or [0]) / 1e3, (50, 99, 100)).round(1).tolist()
+            status |= {
+                "user_id": r["DeviceUserID"],
+                "controller": f"{owner[0]}:{owner[1]}" if owner else "",
+                "streaming": acquisition.running and r["GevSCPHostPort"] != 0,
+                "frame_rate": round(float(SECOND_NS / acquisition.period_ns), 3),
+                "trigger": acquisition.source,
+                "ptp": r.label("PtpStatus") if r["PtpEnable"] else "off",
+                "late_us": dict(zip(("p50", "p99", "max"), lateness_us, strict=True)),
+            }
         return status | {"faults": self.faults.active(), "counters": dict(self.counters)}
 
 
 class _PoweredCamera:
     """The parts of a camera that live from power-on to power-off."""
 
-    def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
-        self._camera, self.registers = camera, Registers(camera.features, description)
-        device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
-        self.registers["FirstUrl"] = f"Local:{XML_NAME}.xml;{FILE_SPACE:X};{len(description):X}"
-        self.registers["DeviceUserID"] = user_id
-        self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
-        self._stream = StreamChannel(device)
-        self.acquisition = Acquisition(device, camera.scene, self._clock, ImagingPipeline(device), self._stream)
-        acquisition, stream = self.acquisition, self._stream
+    def __init__(self, camera: SimulatedCamera, user_id: str) -> None:
+        description = genicam_xml(camera.features)
+        self.registers = r = Registers(camera.features, description)
+        device = Device(camera.address, camera.settings, r, camera.faults, camera.counters, camera.loop)
+        r["FirstUrl"] = f"Local:{XML_NAME}.xml;{FILE_SPACE:X};{len(description):X}"
+        r["DeviceUserID"] = user_id
+        clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
+        self.stream = StreamChannel(device)
+        self.acquisition = Acquisition(device, camera.scene, clock, ImagingPipeline(device), self.stream)
         try:
-            self._server = GvcpServer(device, acquisition.stop, stream.resend, acquisition.execute_action)
+            self.server = GvcpServer(device, self.acquisition.stop, self.stream.resend, self.acquisition.execute_action)
         except InputError:
-            self._stream.close()
+            self.stream.close()
             raise
-        r, clock = self.registers, self._clock
+
+        def latch_time() -> None:
+            stamp = clock.stamp(camera.loop.clock.now_ns())
+            r["TimestampControl"], r["TimestampHigh"], r["TimestampLow"] = 0, stamp >> 32, stamp & 0xFFFF_FFFF
+
         without = CAPABILITIES & ~Capability.PACKET_RESEND
         r.reads["GvcpCapability"] = lambda: int(without if camera.faults.no_resend else CAPABILITIES)
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
-        r.writes["TimestampControl"] = self._latch_time
-
-    def close(self) -> None:
-        self._server.close()
-        self._stream.close()
-
-    def status(self) -> dict[str, object]:
-        owner = self._server.owner
-        p50, p99, most = np.percentile(np.array(self.acquisition.lateness_ns or [0]) / 1e3, (50, 99, 100)).round(1)
-        return {
-            "user_id": self.registers["DeviceUserID"],
-            "controller": f"{owner[0]}:{owner[1]}" if owner else "",
-            "streaming": self.acquisition.running and self._stream.is_open,
-            "frame_rate": round(float(SECOND_NS / self.acquisition.period_ns), 3),
-            "trigger": self.acquisition.source,
-            "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
-            "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
-        }
-
-    def _latch_time(self) -> None:
-        stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
-        self.registers["TimestampControl"] = 0
-        self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
+        r.writes["TimestampControl"] = latch_time

@@ -73,19 +73,21 @@ class Faults:
 
     def update(self, changes: Mapping[str, Any], where: str = "faults") -> None:
         """Sets several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""
-        checked = {name: _checked(name, value, where) for name, value in changes.items()}
-        for name, value in checked.items():
-            setattr(self, name, value)
+        for name, value in changes.items():
+            if name not in NO_FAULTS:
+                remedy = f"Known faults: {', '.join(NO_FAULTS)}."
+                raise InputError(f"there is no fault '{name}'", where=where, remedy=remedy)
+            low, high = _LIMITS.get(name, (False, True))
+            if not isinstance(value, int | float) or not low <= value <= high:
+                raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {low} to {high}.")
+        for name, value in changes.items():
+            setattr(self, name, type(NO_FAULTS[name])(value))
 
     def clear(self) -> None:
-        """Switches all faults off."""
-        for field in dataclasses.fields(self):
-            setattr(self, field.name, field.default)
+        self.update(NO_FAULTS)
 
     def active(self) -> dict[str, Any]:
-        """Returns the faults that are on."""
-        fields = dataclasses.fields(self)
-        return {f.name: getattr(self, f.name) for f in fields if getattr(self, f.name) != f.default}
+        return {name: getattr(self, name) for name in NO_FAULTS if getattr(self, name) != NO_FAULTS[name]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,21 +102,8 @@ class Device:
     loop: EventLoop
 
 
-FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
-_HIGHEST = {"packet_loss": 1.0, "light": 10.0}
-
-
-def _checked(name: str, value: Any, where: str) -> Any:
-    if name not in FAULT_NAMES:
-        raise InputError(f"there is no fault '{name}'", where=where, remedy=f"Known faults: {', '.join(FAULT_NAMES)}.")
-    kind = type(getattr(Faults, name))
-    if kind is bool and value in (0, 1):
-        return bool(value)
-    low, high = (0.0, _HIGHEST[name]) if kind is float else (-LARGEST_INT, LARGEST_INT)
-    if kind is not bool and isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
-        return kind(value)
-    limits = "true or false" if kind is bool else f"a number from {low:g} to {high:g}"
-    raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {limits}.")
+NO_FAULTS = dataclasses.asdict(Faults())
+_LIMITS = {"packet_loss": (0, 1), "light": (0, 10), "stamp_jump_ns": (-LARGEST_INT, LARGEST_INT)}
 
 
 # --- Loopback addresses.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import ipaddress
 import socket
@@ -68,7 +67,6 @@ class GvcpServer:
     def _request_control(self, peer: Peer, value: int) -> None:
         """Handle a write to the privilege register. Raises RegisterError (access denied) while a peer owns it."""
         if self.owner not in (None, peer):
-            self._counters["control_denied"] += 1
             raise RegisterError(Status.ACCESS_DENIED)
         if not value & CONTROL:
             if self.owner is not None:
@@ -146,7 +144,7 @@ class GvcpServer:
     def _payload(self, packet: CommandPacket, peer: Peer) -> bytes:
         registers, payload = self._registers, packet.payload
         if packet.command == Command.DISCOVERY:
-            return self._record()
+            return registers.read(0, bootstrap.DISCOVERY_SIZE)
         if packet.command == Command.READ_REGISTER:
             return b"".join(registers.read(address, 4) for address in decode_words(payload))
         if packet.command == Command.READ_MEMORY:
@@ -167,17 +165,8 @@ class GvcpServer:
             self._request_control(peer, int.from_bytes(data, "big"))
             return
         if self.owner != peer:
-            self._counters["writes_denied"] += 1
             raise RegisterError(Status.ACCESS_DENIED)
         self._registers.write(address, data)
-
-    def _record(self) -> bytes:
-        """Return the first bytes of the bootstrap registers; what is not implemented among them reads as zero."""
-        record = bytearray(bootstrap.DISCOVERY_SIZE)
-        for address in range(0, len(record), 4):
-            with contextlib.suppress(RegisterError):
-                record[address : address + 4] = self._registers.read(address, 4)
-        return bytes(record)
 
     def _send(self, answer: AcknowledgePacket, peer: Peer) -> None:
         try:

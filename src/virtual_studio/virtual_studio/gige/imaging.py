@@ -40,11 +40,10 @@ class ImagingPipeline:
         self._noise: NDArray[np.int8] | None = None
         self._last: Image | None = None
         checks, writes = device.registers.checks, device.registers.writes
-        checks["ExposureTime"].append(lambda value: self._refuse_while_auto("ExposureAuto"))
-        checks["Gain"].append(lambda value: self._refuse_while_auto("GainAuto"))
+        checks["ExposureTime"] = lambda value: self._refuse_while_auto("ExposureAuto")
+        checks["Gain"] = lambda value: self._refuse_while_auto("GainAuto")
         for _, binning, largest, size, offset in _AXES:
-            checks[size].append(self._fits(offset, largest))
-            checks[offset].append(self._fits(size, largest))
+            checks[size], checks[offset] = self._fits(offset, largest), self._fits(size, largest)
             writes[binning] = writes[size] = self.refresh
         writes["PixelFormat"] = self.refresh
         self.refresh()
@@ -68,9 +67,9 @@ class ImagingPipeline:
         r["PayloadSize"] = self.pixel_format.image_bytes(r.integer("Width"), r.integer("Height"))
 
     def capture(self, scene: Image) -> Image:
-        """Takes the picture of what the scene shows."""
         if not self._faults.frozen or self._last is None:
-            self._last = self._with_noise(self._exposed(self._cropped(self._binned(scene))))
+            x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
+            self._last = self._with_noise(self._exposed(self._binned(scene)[y : y + h, x : x + w]))
         return self._last
 
     def _binned(self, scene: Image) -> Image:
@@ -80,10 +79,6 @@ class ImagingPipeline:
         height, width = scene.shape[0] // down, scene.shape[1] // across
         whole = scene[: height * down, : width * across]
         return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-    def _cropped(self, scene: Image) -> Image:
-        x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
-        return scene if (h, w) == scene.shape[:2] else scene[y : y + h, x : x + w]
 
     def _exposed(self, scene: Image) -> Image:
         """Return it as bright as exposure, gain (dB) and light make it, relative to the nominal exposure and 0 dB."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import socket
@@ -37,6 +38,7 @@ class EventLoop:
 
     def __init__(self, name: str = "gige", clock: CaptureClock = UTC) -> None:
         self.clock, self._loop = clock, asyncio.new_event_loop()
+        self.add_reader, self.remove_reader = self._loop.add_reader, self._loop.remove_reader
         self._thread = threading.Thread(target=self._loop.run_forever, name=name, daemon=True)
 
     def start(self) -> None:
@@ -55,14 +57,6 @@ class EventLoop:
     def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Runs a coroutine in the loop and returns what it returns; from any other thread."""
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result()
-
-    def add_reader(self, sock: socket.socket, callback: Callable[[], object]) -> None:
-        """Calls back whenever ``sock`` can be read. Only from within the loop, or before it starts."""
-        self._loop.add_reader(sock, callback)
-
-    def remove_reader(self, sock: socket.socket) -> None:
-        """Ends the calls for it, even for data that was already noticed."""
-        self._loop.remove_reader(sock)
 
     def call_at(self, when_ns: int, callback: Callable[[], object]) -> Timer:
         """Calls back at an instant of the cameras' clock. Only from within the loop."""
@@ -165,7 +159,7 @@ def _bound(path: Path) -> socket.socket:
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_socket() and not _is_served(path):
+        if path.is_socket() and sock.connect_ex(str(path)) == errno.ECONNREFUSED:
             path.unlink()  # a studio that was killed left it behind
         sock.bind(str(path))
         path.chmod(0o600)
@@ -174,12 +168,3 @@ def _bound(path: Path) -> socket.socket:
         remedy = "Another studio may be there: end it, or choose another --control."
         raise InputError(f"cannot listen ({error.strerror or error})", where=str(path), remedy=remedy) from None
     return sock
-
-
-def _is_served(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(path))
-        except OSError:
-            return False
-        return True

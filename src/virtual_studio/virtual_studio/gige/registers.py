@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -110,6 +109,7 @@ class Registers:
 
     A client's write is checked against access and limits, then by ``checks[name]`` (which may raise RegisterError), and
     when it stands, ``writes[name]`` is called. ``reads[name]`` makes the value anew whenever a client reads it.
+    Registers of the standard that no row describes read as zero.
     """
 
     def __init__(self, features: Iterable[Feature], file: bytes = b"") -> None:
@@ -117,7 +117,7 @@ class Registers:
         self._values: dict[str, Value] = {f.name: f.default for f in self._features.values()}
         self._at: dict[int, Feature] = {}
         self._file = file
-        self.checks: defaultdict[str, list[Callable[[Value], None]]] = defaultdict(list)
+        self.checks: dict[str, Callable[[Value], None]] = {}
         self.writes: dict[str, Callable[[], object]] = {}
         self.reads: dict[str, Callable[[], Value]] = {}
         for feature in self._features.values():
@@ -141,48 +141,41 @@ class Registers:
         return next(label for label, value in self._features[name].entries if value == self._values[name])
 
     def read(self, address: int, count: int) -> bytes:
-        """Reads bytes of the memory. Raises RegisterError."""
         if address % 4 or count % 4 or count <= 0:
             raise RegisterError(Status.BAD_ALIGNMENT)
-        if address >= FILE_SPACE:
-            return self._read_file(address - FILE_SPACE, count)
-        data = bytearray()
-        at = address
-        while at < address + count:
-            feature = self._at.get(at)
-            if feature is None:
-                raise RegisterError(Status.INVALID_ADDRESS)
-            if feature.name in self.reads:
-                self._values[feature.name] = self.reads[feature.name]()
-            data += _encode(feature, self._values[feature.name])[at - feature.address :]
-            at = feature.address + feature.length
-        return bytes(data[:count])
+        if address < FILE_SPACE:
+            return b"".join(self._word(at) for at in range(address, address + count, 4))
+        start = address - FILE_SPACE
+        if start + count > len(self._file):
+            raise RegisterError(Status.INVALID_ADDRESS)
+        return self._file[start : start + count]
 
     def write(self, address: int, data: bytes) -> None:
-        """Handles a client's write of one register or several in a row. Raises RegisterError at the first refused."""
-        if address % 4 or len(data) % 4 or not data:
+        """Handles a client's write of one register, whole. Raises RegisterError."""
+        feature = self._at.get(address)
+        if feature is None:
+            raise RegisterError(Status.INVALID_ADDRESS)
+        if address != feature.address or len(data) != feature.length:
             raise RegisterError(Status.BAD_ALIGNMENT)
-        at = address
-        while at < address + len(data):
-            feature = self._at.get(at)
-            if feature is None:
-                raise RegisterError(Status.INVALID_ADDRESS)
-            self._values[feature.name] = self._new_value(feature, at, data[at - address :])
-            if feature.name in self.writes:
-                self.writes[feature.name]()
-            at = feature.address + feature.length
-
-    def _new_value(self, feature: Feature, at: int, data: bytes) -> Value:
         if not feature.writable:
             raise RegisterError(Status.WRITE_PROTECT)
-        offset = at - feature.address
-        old = _encode(feature, self._values[feature.name])
-        merged = old[:offset] + data[: feature.length - offset]
-        value = _decode(feature, merged + old[len(merged) :])
+        value = _decode(feature, data)
         self._check_limits(feature, value)
-        for check in self.checks[feature.name]:
-            check(value)
-        return value
+        if feature.name in self.checks:
+            self.checks[feature.name](value)
+        self._values[feature.name] = value
+        if feature.name in self.writes:
+            self.writes[feature.name]()
+
+    def _word(self, address: int) -> bytes:
+        feature = self._at.get(address)
+        if feature is None:
+            if address < FEATURE_SPACE:
+                return bytes(4)
+            raise RegisterError(Status.INVALID_ADDRESS)
+        if feature.name in self.reads:
+            self._values[feature.name] = self.reads[feature.name]()
+        return _encode(feature, self._values[feature.name])[address - feature.address :][:4]
 
     def _check_limits(self, feature: Feature, value: Value) -> None:
         if feature.kind is Kind.ENUMERATION and value not in dict(feature.entries).values():
@@ -193,11 +186,6 @@ class Registers:
         wrong = (low is not None and not value >= low) or (high is not None and not value <= high)
         if wrong or (feature.step is not None and int(value) % feature.step):
             raise RegisterError(Status.INVALID_PARAMETER)
-
-    def _read_file(self, start: int, count: int) -> bytes:
-        if start + count > len(self._file):
-            raise RegisterError(Status.INVALID_ADDRESS)
-        return self._file[start : start + count]
 
 
 def _encode(feature: Feature, value: Value) -> bytes:
@@ -237,30 +225,25 @@ PORT = "Device"
 
 def genicam_xml(features: Iterable[Feature]) -> bytes:
     """Writes the XML, whole words: categories, a node for every named feature, a register node beneath each."""
-    named = [feature for feature in features if feature.category]
-    parts = [_HEAD, *_categories(named)]
-    for feature in named:
-        parts.append(_node(feature))
-        if feature.kind is not Kind.STRING:
-            parts.append(_register(feature))
-    parts.append(f'<Port Name="{PORT}"/>\n</RegisterDescription>\n')
-    xml = "".join(parts).encode()
+    categories: dict[str, str] = {}
+    nodes = ""
+    for feature in features:
+        if feature.category:
+            member = f"<pFeature>{feature.name}</pFeature>"
+            categories[feature.category] = categories.get(feature.category, "") + member
+            nodes += _nodes(feature)
+    root = "".join(f"<pFeature>{name}</pFeature>" for name in categories)
+    lists = "".join(_element("Category", name, members) for name, members in {"Root": root, **categories}.items())
+    xml = f'{_HEAD}{lists}{nodes}<Port Name="{PORT}"/>\n</RegisterDescription>\n'.encode()
     return xml + b" " * (-len(xml) % 4)
 
 
-def _categories(features: list[Feature]) -> list[str]:
-    names = list(dict.fromkeys(feature.category for feature in features))
-    parts = [_element("Category", "Root", "".join(f"<pFeature>{name}</pFeature>" for name in names))]
-    for name in names:
-        members = "".join(f"<pFeature>{f.name}</pFeature>" for f in features if f.category == name)
-        parts.append(_element("Category", name, members))
-    return parts
-
-
-def _node(feature: Feature) -> str:
+def _nodes(feature: Feature) -> str:
+    """Return the node of a feature and, but for texts, that of its register."""
+    where = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
+    where += f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode><pPort>{PORT}</pPort>"
     if feature.kind is Kind.STRING:
-        body = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
-        return _element("StringReg", feature.name, f"{body}{_access(feature)}<pPort>{PORT}</pPort>")
+        return _element("StringReg", feature.name, where)
     value = f"<pValue>{feature.name}Reg</pValue>"
     if feature.kind is Kind.ENUMERATION:
         value = "".join(_element("EnumEntry", n, f"<Value>{v}</Value>") for n, v in feature.entries) + value
@@ -269,34 +252,19 @@ def _node(feature: Feature) -> str:
     elif feature.kind is Kind.BOOLEAN:
         value += "<OnValue>1</OnValue><OffValue>0</OffValue>"
     else:
-        value += _limits(feature)
+        numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
+        value += "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
+        value += f"<pMax>{feature.high_of}</pMax>" if feature.high_of else ""
         value += f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""
-    return _element(feature.kind.value, feature.name, value)
-
-
-def _limits(feature: Feature) -> str:
-    numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
-    limits = "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
-    return limits + (f"<pMax>{feature.high_of}</pMax>" if feature.high_of else "")
-
-
-def _register(feature: Feature) -> str:
-    where = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
-    where += f"{_access(feature)}<pPort>{PORT}</pPort>"
-    where += "<Cachable>NoCache</Cachable>" if feature.volatile or feature.bits else ""
-    name = f"{feature.name}Reg"
-    if feature.kind is Kind.FLOAT:
-        return _element("FloatReg", name, f"{where}<Endianess>BigEndian</Endianess>")
-    number = "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>"
-    if feature.bits is None:
-        return _element("IntReg", name, where + number)
-    first, last = (31 - bit for bit in feature.bits)  # in big-endian registers bit 0 is the highest
-    bits = f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
-    return _element("MaskedIntReg", name, where + bits + number)
-
-
-def _access(feature: Feature) -> str:
-    return f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode>"
+    register = where + ("<Cachable>NoCache</Cachable>" if feature.volatile or feature.bits else "")
+    if feature.bits:
+        tag, (first, last) = "MaskedIntReg", (31 - bit for bit in feature.bits)  # bit 0 is the highest
+        register += f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
+    else:
+        tag = "FloatReg" if feature.kind is Kind.FLOAT else "IntReg"
+    register += "" if feature.kind is Kind.FLOAT else "<Sign>Unsigned</Sign>"
+    register += "<Endianess>BigEndian</Endianess>"
+    return _element(feature.kind.value, feature.name, value) + _element(tag, f"{feature.name}Reg", register)
 
 
 def _element(tag: str, name: str, body: str) -> str:

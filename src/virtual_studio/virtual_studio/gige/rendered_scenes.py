@@ -109,16 +109,15 @@ class RoomScene(StudioScene):
     def _run(self) -> None:
         while True:
             with self._condition:
-                self._condition.wait_for(lambda: not self._running or self._is_stale())
+                self._condition.wait_for(
+                    lambda: not self._running or self._asked_ns - self._newest.instant_ns >= self._shortest_ns
+                )
                 if not self._running:
                     return
                 instant_ns = self._asked_ns
             rendered = RenderedSet(instant_ns, self.render(instant_ns))
             with self._condition:
                 self._newest = rendered
-
-    def _is_stale(self) -> bool:
-        return self._asked_ns - self._newest.instant_ns >= self._shortest_ns
 
 
 class LiveView:
@@ -181,7 +180,12 @@ class SetupScene(RoomScene):
         phase = self._phase
         t = max(instant_ns - self._since_ns, 0) / SECOND_NS
         if phase == INTRINSICS:
-            return {name: self._render_waved(name, t) for name in self._waves}
+            pictures = {}
+            for name, waved in self._waves.items():
+                at = t % waved.duration_s
+                held = hands(self._hand, waved.path(at))
+                pictures[name] = self._render_board(name, self._hand, waved.path, at, held)
+            return pictures
         if phase == MOVING:
             t %= CARRIED_S
             person = person_with(self._person, self._floor, self._carried(t))
@@ -189,11 +193,6 @@ class SetupScene(RoomScene):
         if phase == PERSON:
             return super().render(instant_ns)
         return {name: self._render_board(name, self._floor, lambda _: self._lying, 0.0, None) for name in self._waves}
-
-    def _render_waved(self, name: str, t: float) -> Image:
-        waved = self._waves[name]
-        t %= waved.duration_s
-        return self._render_board(name, self._hand, waved.path, t, hands(self._hand, waved.path(t)))
 
     def _render_board(self, name: str, board: BoardPrint, path: PosePath, t: float, people: Capsules | None) -> Image:
         return _picture(self._board_cameras[name].film(board, path, t, people, SAMPLES))

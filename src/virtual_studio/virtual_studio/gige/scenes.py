@@ -137,11 +137,9 @@ class Playback:
         return self.epoch_ns
 
     def hold(self) -> None:
-        """Stays at frame 0."""
         self._held = True
 
     def frame_at(self, instant_ns: int) -> int:
-        """Returns the number of the frame that is seen at an instant."""
         if self._held:
             return 0
         frame = (instant_ns - self.epoch_ns) * self._fps.numerator // (self._fps.denominator * SECOND_NS)
@@ -187,52 +185,47 @@ def load_session_scene(session: Session, memory_mb: float = 800.0, clock: Captur
     budget = memory_mb * 1e6 / len(names)
     with ThreadPoolExecutor(LOADERS) as pool:
         footage = list(pool.map(lambda n: _decode(session.videos[n], budget * (1 - BACKGROUND_SHARE)), names))
-        backgrounds = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE), names))
+        grey = {name: frames[0].ndim == 2 for name, (frames, _) in zip(names, footage, strict=True)}
+        rooms = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE, grey[n]), names))
     count = min(len(frames) for frames, _ in footage)
     shortest = min(length for _, length in footage)
     playback = Playback(count, session.fps, clock)
     views = {
-        name: SessionView(playback, tuple(frames[:count]), tuple(_alike(frames[0], background)))
-        for name, (frames, _), background in zip(names, footage, backgrounds, strict=True)
+        name: SessionView(playback, tuple(frames[:count]), tuple(room))
+        for name, (frames, _), room in zip(names, footage, rooms, strict=True)
     }
     cut = f"only the first {count} of {shortest} frames fit into {memory_mb:g} MB and are shown (--memory)"
     can_be_empty = all(view.background for view in views.values())
     return StudioScene(session.rig, views, playback, can_be_empty, (cut,) if count < shortest else ())
 
 
-def _background(session: Session, name: str, budget: float) -> list[Image]:
+def _background(session: Session, name: str, budget: float, grey: bool) -> list[Image]:
     path = session.backgrounds.get(name)
     if path is None:
         return []
     if path.suffix.lower() not in STILL_SUFFIXES:
-        return _decode(path, budget)[0]
+        return _decode(path, budget, grey)[0]
     still = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if still is None:
         raise InputError("is not a readable picture", where=str(path), remedy="Check the file.")
-    return [np.ascontiguousarray(still[..., 1] if is_grey(still) else still, np.uint8)]
+    return [np.ascontiguousarray(still[..., 1] if grey else still, np.uint8)]
 
 
-def _decode(path: Path, budget: float) -> tuple[list[Image], int]:
-    """Return the first frames of a video, as many as fit into ``budget`` bytes, at least one; and how many it has."""
+def _decode(path: Path, budget: float, grey: bool | None = None) -> tuple[list[Image], int]:
+    """Return the first frames of a video, as many as fit into ``budget`` bytes, at least one; and how many it has.
+
+    grey : whether colour is left out; None: where the first frame has none.
+    """
     frames = list[Image]()
     with Video(path) as video:
         for picture in video:
-            if not frames:
-                mono = is_grey(picture)
-            elif frames[0].nbytes * (len(frames) + 1) > budget:
+            grey = is_grey(picture) if grey is None else grey
+            if frames and frames[0].nbytes * (len(frames) + 1) > budget:
                 break
-            frames.append(np.ascontiguousarray(picture[..., 1] if mono else picture, np.uint8))
+            frames.append(np.ascontiguousarray(picture[..., 1] if grey else picture, np.uint8))
     if not frames:
         raise InputError("holds no frame that can be decoded", where=str(path), remedy="Check the file, or its codec.")
     if frames[0].nbytes > budget:
         size, remedy = f"one frame has {frames[0].nbytes / 1e6:.1f} MB", "Give the studio more memory (--memory)."
         raise InputError(size, where=str(path), remedy=remedy)
     return frames, max(video.frame_count, len(frames))  # a raw stream's header does not tell
-
-
-def _alike(frame: Image, background: list[Image]) -> list[Image]:
-    """Return the background in the same form (grey or colour) as the frames."""
-    if not background or background[0].ndim == frame.ndim:
-        return background
-    code = cv2.COLOR_GRAY2BGR if frame.ndim == 3 else cv2.COLOR_BGR2GRAY
-    return [np.asarray(cv2.cvtColor(picture, code), np.uint8) for picture in background]

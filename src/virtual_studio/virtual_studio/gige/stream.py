@@ -6,7 +6,6 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -19,7 +18,6 @@ from gige_vision.gvsp import IP_AND_UDP, Content, packet_header, payload_capacit
 from .device import Device
 
 SEND_BUFFER_BYTES = 4 << 20
-MOST_REFUSALS = 64
 RESEND_FRAMES = 8  # kept for resend requests
 BURST_NS = 500_000  # packets that a delay spreads leave in bursts this far apart
 
@@ -31,29 +29,16 @@ Packet = tuple[bytes, bytes | memoryview]
 class Block:
     """One block as it goes over the wire: packet 0 the leader, 1 ... n the payload, n + 1 the trailer.
 
-    image (n,) bytes : must not change as long as its packets may be asked for again. packet_size : of the register.
+    bodies : of the packets; they must not change as long as these may be asked for again.
     """
 
     block_id: int
-    leader: bytes
-    image: memoryview
-    trailer: bytes
-    packet_size: int
-
-    @cached_property
-    def packets(self) -> int:
-        return -(-len(self.image) // payload_capacity(self.packet_size)) + 2
+    bodies: list[bytes | memoryview]
 
     def packet(self, packet_id: int, status: int = Status.SUCCESS) -> Packet:
-        """Returns one packet."""
-        if packet_id == 0:
-            content, body = Content.LEADER, memoryview(self.leader)
-        elif packet_id == self.packets - 1:
-            content, body = Content.TRAILER, memoryview(self.trailer)
-        else:
-            capacity = payload_capacity(self.packet_size)
-            content, body = Content.PAYLOAD, self.image[(packet_id - 1) * capacity : packet_id * capacity]
-        return packet_header(content, self.block_id, packet_id, status), body
+        ends = {0: Content.LEADER, len(self.bodies) - 1: Content.TRAILER}
+        header = packet_header(ends.get(packet_id, Content.PAYLOAD), self.block_id, packet_id, status)
+        return header, self.bodies[packet_id]
 
 
 class StreamChannel:
@@ -74,37 +59,31 @@ class StreamChannel:
     def close(self) -> None:
         self._socket.close()
 
-    @property
-    def is_open(self) -> bool:
-        """True when a client has said where to send."""
-        return self._registers.integer("GevSCPHostPort") != 0
-
     def discard_blocks(self) -> None:
         """Forgets what was sent: a new acquisition begins."""
         self._blocks.clear()
 
     def send(self, block_id: int, leader: bytes, data: NDArray[np.uint8], trailer: bytes) -> None:
         """Sends one block, at once or spread over time by the packet delay. ``data`` (n,) contiguous."""
-        size = self._registers.integer("PacketSizeWord") & SIZE_MASK
-        block = Block(block_id, leader, memoryview(data.data).cast("B"), trailer, size)
+        capacity = payload_capacity(self._registers.integer("PacketSizeWord") & SIZE_MASK)
+        pixels = memoryview(data.data).cast("B")
+        payload = (pixels[start : start + capacity] for start in range(0, len(pixels), capacity))
+        block = Block(block_id, [leader, *payload, trailer])
         self._blocks.append(block)
-        packets = (block.packet(packet_id) for packet_id in np.flatnonzero(self._kept(block.packets)).tolist())
+        packets = (block.packet(packet_id) for packet_id in np.flatnonzero(self._kept(len(block.bodies))).tolist())
         self._send_on(packets, self._registers.integer("GevSCPD"), self._destination)
         self._counters["frames_sent"] += 1
 
     def resend(self, block_id: int, first: int, last: int) -> None:
-        """Sends packets of one of the last blocks once more; those that are gone are reported unavailable."""
+        """Sends packets of one of the last blocks once more."""
         self._counters["resend_requests"] += 1
         if self._faults.no_resend:
             return
         block = next((block for block in self._blocks if block.block_id == block_id), None)
         if block is None:
             self._counters["resend_missed"] += 1
-            for packet_id in range(first, min(last, first + MOST_REFUSALS) + 1):
-                header = packet_header(Content.PAYLOAD, block_id, packet_id, Status.PACKET_UNAVAILABLE)
-                self._transmit((header, b""), self._destination)
             return
-        for packet_id in range(first, min(last, block.packets - 1) + 1):
+        for packet_id in range(first, min(last, len(block.bodies) - 1) + 1):
             if self._kept(1)[0]:
                 self._transmit(block.packet(packet_id, Status.PACKET_RESEND), self._destination)
                 self._counters["packets_resent"] += 1

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.rig import Rig
 from capture_rig.session import load_session
 from capture_rig.settings import setting
 from capture_rig.stamps import CaptureClock
@@ -19,7 +18,7 @@ from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
 from .acquisition import TriggerWire
 from .camera import SimulatedCamera
-from .device import CameraSettings, consecutive_addresses
+from .device import NO_FAULTS, CameraSettings, consecutive_addresses
 from .loop import ControlServer, EventLoop, Request
 from .rendered_scenes import PERSON, RoomScene, SetupScene
 from .scenes import PatternScene, Playback, StudioScene, load_session_scene
@@ -56,18 +55,13 @@ def make_studio_scene(settings: StudioSettings) -> StudioScene:
     clock = CaptureClock(settings.speed)
     if settings.session and not settings.pattern:
         return load_session_scene(load_session(settings.session), settings.memory_mb, clock)
-    rig = built_in_rig(settings.cameras)
+    rig = ring(settings.cameras - 1) if settings.cameras > 1 else ring(1, ceiling=False)
     if settings.pattern:
         return StudioScene(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
     if settings.scene != SETUP_SCENE:
         return RoomScene(rig, settings.motion, clock=clock)
     hand, floor = read_board(settings.hand_board), read_board(settings.floor_board)
     return SetupScene(rig, settings.motion, clock=clock, hand_board=hand, floor_board=floor)
-
-
-def built_in_rig(cameras: int) -> Rig:
-    """Returns a ring of so many cameras, the last one on the ceiling; a single one stands."""
-    return ring(cameras - 1, ceiling=True) if cameras > 1 else ring(1, ceiling=False)
 
 
 class Studio:
@@ -87,13 +81,12 @@ class Studio:
         self._control: ControlServer | None = None
         self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
-        names = self.rig.names
-        addresses = consecutive_addresses(self.settings.address, len(names))
+        addresses = consecutive_addresses(self.settings.address, len(self.rig.names))
         self.cameras = {
             name: SimulatedCamera(
                 address, self.scene.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
             )
-            for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
+            for number, (name, address) in enumerate(zip(self.rig.names, addresses, strict=True), start=1)
         }
 
     @property
@@ -104,7 +97,6 @@ class Studio:
         return self.playback.fps if self.playback is not None and self.settings.session else 60.0
 
     def start(self) -> Studio:
-        """Switches every camera on, or none."""
         self.loop.start()
         try:
             self.scene.start()
@@ -118,7 +110,6 @@ class Studio:
         return self
 
     def close(self) -> None:
-        """Switches every camera off."""
         if self._control is not None:
             self._control.close()
             self._control = None
@@ -132,7 +123,7 @@ class Studio:
         verbs = {
             "status": self._status,
             "set": self._set,
-            "clear": self._clear,
+            "clear": self._set,
             "off": self._power,
             "on": self._power,
             "room": self._room,
@@ -182,17 +173,12 @@ class Studio:
         return state
 
     def _set(self, request: Request) -> Request:
-        changes = request.get("faults")
+        changes = NO_FAULTS if request["do"] == "clear" else request.get("faults")
         if not isinstance(changes, dict):
             raise _refusal("no faults are named", "Such as packet_loss=0.005.")
         for camera in self._chosen(request):
             camera.faults.update(changes, f"camera {camera.address}")
-        return {"set": changes}
-
-    def _clear(self, request: Request) -> Request:
-        for camera in self._chosen(request):
-            camera.faults.clear()
-        return {"cleared": True}
+        return {request["do"]: changes}
 
     def _power(self, request: Request) -> Request:
         for camera in self._chosen(request):

@@ -9,7 +9,7 @@ explained", Sheffield CS-01-11, 2001.)
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,13 +21,15 @@ from capture_rig.errors import InputError
 from capture_rig.files import read_text
 
 Array = NDArray[np.float64]
-Statement = tuple[int, str]
-"""Number of its line, and its words."""
 
-AXES = {"X": 0, "Y": 1, "Z": 2}
-CHANNELS = {f"{axis.lower()}{kind}": (kind, axis) for axis in AXES for kind in ("position", "rotation")}
 END = "_end"
 """An end site is called after its joint."""
+_FILE = re.compile(r"\s*HIERARCHY\b(.*?)\bMOTION\s+Frames:\s*(\S+)\s+Frame\s+Time:\s*(\S+)(.*)", re.I | re.S)
+_STATEMENT = re.compile(
+    r"(ROOT|JOINT|END)[ \t]+([^\n{}]+?)\s*{|OFFSET((?:\s+\S+){3})"
+    r"|CHANNELS\s+(\d+)((?:\s+[XYZ](?:position|rotation)\b)*)|(})",
+    re.I,
+)
 
 
 @dataclass
@@ -35,88 +37,65 @@ class _Joint:
     name: str
     parent: int
     offset: Array | None = None
-    channels: list[tuple[str, str]] = field(default_factory=list)
+    channels: list[str] = field(default_factory=list)
 
 
 def read_bvh(path: str | Path) -> tuple[dict[str, Array], float]:
     """Reads world positions (F, 3) of the joints by name, in the file's axes and unit of length, and frames a second.
 
-    End sites are called JOINT_end. Raises InputError naming file and line for anything that is not BVH.
+    End sites are called JOINT_end. Raises InputError naming the file, and what in it is not BVH.
     """
-    path = Path(path)
-    lines = read_text(path, "Give the path of a BVH file.").splitlines() or [""]
-    # a brace is a statement of its own, wherever it stands on its line
-    parts = [(n, part.strip()) for n, line in enumerate(lines, 1) for part in re.split("([{}])", line) if part.strip()]
-    end = next((k for k, (_, part) in enumerate(parts) if part.upper() == "MOTION"), len(parts))
-    joints = _hierarchy(path, parts[:end] or [(1, "")], len(lines))
-    fps, rows = _motion(path, parts[end + 1 :], len(lines), sum(len(joint.channels) for joint in joints))
-    return {joint.name: places for joint, places in zip(joints, _positions(joints, rows), strict=True)}, fps
-
-
-def _error(path: Path, line: int, problem: str) -> InputError:
-    return InputError(problem, where=f"{path}, line {line}", remedy="The file is damaged or no BVH: export it again.")
-
-
-def _numbers(path: Path, line: int, words: list[str]) -> Array:
+    text = read_text(path, "Give the path of a BVH file.")
     try:
-        values = np.array(words, float)
-    except ValueError as error:  # it says which one
-        raise _error(path, line, str(error)) from None
+        if (parts := _FILE.match(text)) is None:
+            raise ValueError("BVH has HIERARCHY, then MOTION, 'Frames:' and 'Frame Time:'")
+        hierarchy, frames, period, numbers = parts.groups()
+        joints, (period_s,), values = _hierarchy(hierarchy), _numbers([period]), _numbers(numbers.split())
+        channels = sum(len(joint.channels) for joint in joints)
+        if period_s <= 0.0:
+            raise ValueError(f"the frame time is {period_s:g} s")
+        if len(values) != int(frames) * channels or not len(values):
+            raise ValueError(f"{len(values)} numbers where {frames} frames of {channels} channels are announced")
+    except (ValueError, IndexError) as error:
+        remedy = "The file is damaged or no BVH: export it again."
+        raise InputError(f"is no BVH file: {error}", where=str(path), remedy=remedy) from None
+    placed = _positions(joints, values.reshape(-1, channels))
+    return {joint.name: places for joint, places in zip(joints, placed, strict=True)}, 1.0 / period_s
+
+
+def _numbers(words: Sequence[str]) -> Array:
+    """Raises ValueError, which says what is no number."""
+    values = np.array(words, float)
     if not np.isfinite(values).all():
-        raise _error(path, line, f"'{' '.join(words)}' has what is no number")
+        raise ValueError(f"{words[int(np.argmin(np.isfinite(values)))]} is no number")
     return values
 
 
-def _hierarchy(path: Path, parts: list[Statement], last: int) -> list[_Joint]:
-    """The joints, parents first."""
-    joints, opened, wanted = list[_Joint](), list[int](), "HIERARCHY"
-    for line, part in parts:
-        kind, *words = part.split() or [""]
-        kind = kind.upper()
-        if (wanted or kind == "{") and kind != wanted:
-            raise _error(path, line, f"'{part}' where BVH has '{wanted or 'a joint or what it is'}'")
-        begins, wanted = kind in (("JOINT", "END") if opened else ("ROOT",)), ""
-        if begins:
-            name, wanted = joints[opened[-1]].name + END if kind == "END" else " ".join(words), "{"
-            if not name or (kind != "END" and name in [joint.name for joint in joints]):
-                raise _error(path, line, f"'{name}' is no name for a joint, or that of two joints")
-            joints.append(_Joint(name, opened[-1] if opened else -1))
-        elif kind == "{":
+def _hierarchy(text: str) -> list[_Joint]:
+    """The joints, parents first. Raises ValueError, or IndexError for a brace too many."""
+    joints, opened, read_to = list[_Joint](), [-1], 0
+    for found in _STATEMENT.finditer(text):
+        kind, name, offset, count, channels, _ = found.groups()
+        if unknown := text[read_to : found.start()].strip():
+            raise ValueError(f"'{unknown}' where BVH has a joint, its OFFSET, its CHANNELS or its end")
+        read_to = found.end()
+        if kind:
+            name = joints[opened[-1]].name + END if kind.upper() == "END" else name
+            if name in [joint.name for joint in joints]:
+                raise ValueError(f"two joints are called '{name}'")
+            joints.append(_Joint(name, opened[-1]))
             opened.append(len(joints) - 1)
-        elif kind == "OFFSET" and opened and len(words) == 3:
-            joints[opened[-1]].offset = _numbers(path, line, words)
-        elif kind == "CHANNELS" and opened and words and words[0] == str(len(words) - 1):
-            unknown = [name for name in words[1:] if name.lower() not in CHANNELS]
-            if unknown:
-                raise _error(path, line, f"there is no channel '{unknown[0]}'")
-            joints[opened[-1]].channels = [CHANNELS[name.lower()] for name in words[1:]]
-        elif kind == "}" and opened and joints[opened[-1]].offset is not None:
+        elif offset:
+            joints[opened[-1]].offset = _numbers(offset.split())
+        elif count:
+            joints[opened[-1]].channels = channels.split()
+            if int(count) != len(channels.split()):
+                raise ValueError(f"'{found[0]}' where BVH has {count} channels, such as Xposition and Zrotation")
+        else:
             opened.pop()
-        elif kind != "HIERARCHY":
-            raise _error(path, line, f"'{part}' where BVH has a joint, its OFFSET, its CHANNELS or its end")
-    if opened or wanted or not joints:
-        raise _error(path, last, "the joints end too soon")
+    if text[read_to:].strip() or opened != [-1] or any(joint.offset is None for joint in joints):
+        raise ValueError("the joints end too soon, or a joint has no OFFSET")
     return joints
-
-
-def _motion(path: Path, parts: list[Statement], last: int, channels: int) -> tuple[float, Array]:
-    """Frames a second and the channels' values (F, channels)."""
-    header = []
-    for key in ("Frames:", "Frame Time:"):
-        line, text = parts.pop(0) if parts else (last, "")
-        if not text.upper().startswith(key.upper()):
-            raise _error(path, line, f"'{text}' where BVH has '{key}' after MOTION")
-        header.append((line, *_numbers(path, line, [text[len(key) :]])))
-    (announced, frames), (line, period_s) = header
-    if period_s <= 0.0:
-        raise _error(path, line, f"the frame time is {period_s:g} s")
-    rows = [(n, text.split()) for n, text in parts]
-    for line, words in rows:
-        if len(words) != channels:
-            raise _error(path, line, f"a frame has {len(words)} numbers, its joints have {channels} channels")
-    if not rows or len(rows) != frames:
-        raise _error(path, announced, f"{len(rows)} frames where {frames:g} are announced")
-    return 1.0 / period_s, np.array([_numbers(path, line, words) for line, words in rows])
 
 
 def _positions(joints: list[_Joint], rows: Array) -> list[Array]:
@@ -124,9 +103,10 @@ def _positions(joints: list[_Joint], rows: Array) -> list[Array]:
     column, placed, turned = 0, list[Array](), list[Rotation]()
     for joint in joints:
         local, rotation = np.tile(np.asarray(joint.offset, float), (len(rows), 1)), Rotation.identity(len(rows))
-        for kind, axis in joint.channels:
-            if kind == "position":
-                local[:, AXES[axis]] = rows[:, column]
+        for channel in joint.channels:
+            axis = channel[0].upper()
+            if channel[1:].lower() == "position":
+                local[:, "XYZ".index(axis)] = rows[:, column]
             else:
                 rotation = rotation * Rotation.from_euler(axis, rows[:, column, None], degrees=True)
             column += 1

@@ -123,7 +123,6 @@ class Actor:
     outfit: Outfit | None = None
 
     def at(self, frame: int) -> Capsules:
-        """Returns the parts in one frame."""
         placed = self.person.place(self.motion.poses[frame])
         return placed if self.outfit is None else self.outfit.dress(placed)
 

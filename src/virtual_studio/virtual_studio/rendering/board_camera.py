@@ -35,7 +35,6 @@ class BoardCamera:
         self._view, self._ideal = view_room(camera), ideal_corners(camera)
 
     def empty_room(self) -> Light:
-        """Returns the light of the room with nobody in it."""
         return self._view.grey
 
     def render(
@@ -157,7 +156,9 @@ def cast_board(ideal, homographies, greys, texture, edge_distance, offsets, box,
     corners, middle = np.empty((4, 2)), homographies[len(homographies) // 2]
     for py in range(box[1], box[3]):
         for px in range(box[0], box[2]):
-            _pixel_corners(ideal, px, py, corners)
+            for k in range(4):  # ideal image coordinates of the pixel's corners, row by row
+                corners[k, 0] = ideal[py + k // 2, px + k % 2, 0]
+                corners[k, 1] = ideal[py + k // 2, px + k % 2, 1]
             x = 0.25 * (corners[0, 0] + corners[1, 0] + corners[2, 0] + corners[3, 0])
             y = 0.25 * (corners[0, 1] + corners[1, 1] + corners[2, 1] + corners[3, 1])
             if math.isnan(x) or depth[py, px] * _texel(middle, x, y)[2] < math.sqrt(1.0 + x * x + y * y):
@@ -199,8 +200,10 @@ def _sampled_pixel(homographies, greys, texture, offsets, corners):
     covered, grey, instants, samples = 0.0, 0.0, len(homographies), len(offsets)
     rows, columns = texture.shape
     for i in range(samples):
-        m = (i // 2) % instants
-        x, y = _inside_pixel(corners, offsets[i, 0], offsets[i, 1])
+        m, sx, sy = (i // 2) % instants, offsets[i, 0], offsets[i, 1]
+        a, b, c, d = (1.0 - sy) * (1.0 - sx), (1.0 - sy) * sx, sy * (1.0 - sx), sy * sx
+        x = a * corners[0, 0] + b * corners[1, 0] + c * corners[2, 0] + d * corners[3, 0]
+        y = a * corners[0, 1] + b * corners[1, 1] + c * corners[2, 1] + d * corners[3, 1]
         u, v, _ = _texel(homographies[m], x, y)
         if 0.0 <= u < columns and 0.0 <= v < rows:
             covered += 1.0 / samples
@@ -211,20 +214,3 @@ def _sampled_pixel(homographies, greys, texture, offsets, corners):
 @njit(cache=True, nogil=True)
 def _grey(black_white, level):
     return black_white[0] + level / 255.0 * (black_white[1] - black_white[0])
-
-
-@njit(cache=True, nogil=True)
-def _pixel_corners(ideal, px, py, corners):
-    """corners (4, 2) <- ideal image coordinates of a pixel's corners, row by row."""
-    for k in range(4):
-        corners[k, 0] = ideal[py + k // 2, px + k % 2, 0]
-        corners[k, 1] = ideal[py + k // 2, px + k % 2, 1]
-
-
-@njit(cache=True, nogil=True)
-def _inside_pixel(corners, sx, sy):
-    """Ideal image coordinates at a place (0..1, 0..1) in the pixel."""
-    a, b, c, d = (1.0 - sy) * (1.0 - sx), (1.0 - sy) * sx, sy * (1.0 - sx), sy * sx
-    x = a * corners[0, 0] + b * corners[1, 0] + c * corners[2, 0] + d * corners[3, 0]
-    y = a * corners[0, 1] + b * corners[1, 1] + c * corners[2, 1] + d * corners[3, 1]
-    return x, y
