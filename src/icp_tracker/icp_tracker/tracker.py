@@ -20,7 +20,6 @@ from stick_figure.body import Body
 from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.normal_equations import TANGENT
-from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.body_sizes import BodyEstimate
@@ -39,7 +38,7 @@ from .articulated_fit import (
 )
 from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .extrinsic_monitor import ContourResiduals
-from .monitor.evidence import SAME_M, evidence_of
+from .monitor.evidence import SAME_M
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
 from .refinement.body_refiner import BodyRefiner, known_sizes, warm_up_refiner
 from .refinement.trunk_bend import TrunkBend
@@ -74,7 +73,6 @@ class IcpTracker:
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
         self._own_sets: int | None = None  # since which fits start from the own pose, because the filter has to follow
-        self._data_fitted: Data | None = None
         self._matched: tuple[FitResult, ContourRays] | None = None
 
     @property
@@ -93,11 +91,6 @@ class IcpTracker:
         return self._pose
 
     @property
-    def has_outline(self) -> bool:
-        """Whether the last set was fitted, and to contour rays."""
-        return self._data_fitted is not None and len(self._data_fitted.contour_rays.information) > 0
-
-    @property
     def residuals(self) -> ContourResiduals | None:
         """What the contour rays of the last set are matched to, if it was fitted and the fit is not lost."""
         if self._matched is None:
@@ -111,12 +104,6 @@ class IcpTracker:
         if prediction is None or prediction.pose is None or self._own_sets is not None:
             return self._pose
         return None if self._pose is None else self._predicted(stamp_ns, prediction, prediction.pose)
-
-    def cost_of(self, body: Body, pose: Pose) -> float:
-        """Return how badly (rays) a body explains the last set, fitted to it from a pose; needs a fit there."""
-        assert self._data_fitted is not None
-        fitted, _, _ = minimise(body, pose, self._data_fitted, self._settings.articulated)
-        return evidence_of(Figure.of(body), fitted, self._data_fitted).cost
 
     def move_to(self, pose: Pose) -> None:
         """Go on from another pose of the same body; the filter has to follow. ValueError while there is no body."""
@@ -134,17 +121,14 @@ class IcpTracker:
     def _all_joints(self) -> bool:
         return self._settings.method == "articulated"
 
-    def step(
-        self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True, shared: bool = False
-    ) -> Fit:
-        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too;
-        ``shared`` : what is seen of the person is another one's, too."""
+    def step(self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True) -> Fit:
+        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too."""
         seen, dropped = seen.finite()
-        self._data_fitted = self._matched = None
+        self._matched = None
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
-            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn and not shared)
+            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
         return replace(fit, dropped_points=dropped) if dropped else fit
 
     def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
@@ -159,7 +143,7 @@ class IcpTracker:
         if prediction is not None:  # cameras that are not in step see the body at several instants
             rays = rays_at_stamp(seen.contour_rays, body, start, prediction.velocity)
             seen = replace(seen, contour_rays=rays)
-        data = self._data_fitted = self._data(seen)
+        data = self._data(seen)
         fit = self._solve(body, start, data)
         settings = self._settings.articulated
         found = self._monitor.assess(seen.stamp_ns, body, fit.pose, data, settings, fit.matched)
@@ -171,7 +155,7 @@ class IcpTracker:
             self._own_sets = 0
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
-        if judged.state != LOST and self.has_outline:
+        if judged.state != LOST and len(data.contour_rays.information) > 0:
             self._matched = fit, seen.contour_rays
         if found.better is None and found.quality.state == GOOD and self._body is not None:
             self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
