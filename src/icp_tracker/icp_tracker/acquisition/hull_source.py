@@ -220,7 +220,7 @@ class HullSource:
     def _answer(self, seen: AcquisitionObservation, watched_s: float) -> InitialPose:
         """Return the best hypothesis if it was watched, or holds a T-pose, explains enough, and no rival faces
         elsewhere."""
-        best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
+        best, needed, watch_s = self._followed[0], self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
         amiss = self._hold(seen, best.pose)
         held = len(self._held)
         if seen.cut and self._visibility is not None:
@@ -257,13 +257,6 @@ class HullSource:
             body = replace(estimate.body, build=body.build)
         self.reset()
         return InitialPose(best.pose, body, "", estimate, is_fitted=True)
-
-    def _best(self, seen: AcquisitionObservation) -> PoseHypothesis:
-        """Return the best hypothesis; one that is hardly worse and holds a T-pose is meant."""
-        best = self._followed[0]
-        rivals = [one for one in self._followed if one.mean_cost < best.mean_cost + SURE_SHARE]
-        asked = (one for one in rivals if farthest_stick(seen.body, one.pose, self._asked)[1] < T_POSE_RAD)
-        return best if seen.cut else next(asked, best)
 
     def _hold(self, seen: AcquisitionObservation, pose: Pose) -> str:
         """Count the sets in a row that show the pose that is asked for, held still; return what is amiss."""
