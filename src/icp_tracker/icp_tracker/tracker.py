@@ -36,7 +36,7 @@ from .articulated_fit import (
     rays_in_use,
     unknown_covariance,
 )
-from .body_uncertainty import covariance_of_sizes, widen_hidden
+from .body_uncertainty import covariance_of_sizes
 from .extrinsic_monitor import ContourResiduals
 from .monitor.evidence import SAME_M
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
@@ -225,10 +225,10 @@ class IcpTracker:
         )
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
-        """Return the fit's covariance, with that of the body's sizes and of what is not seen."""
-        size_sd_m = None if self._refiner is None else np.sqrt(np.diag(self._refiner.sizes_covariance))
-        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, size_sd_m, self._visibility)
-        return widened if size_sd_m is None else widened + covariance_of_sizes(fit.pose, size_sd_m)
+        """Return the fit's covariance, with that of the body's sizes."""
+        if self._refiner is None:
+            return fit.covariance
+        return fit.covariance + covariance_of_sizes(fit.pose, np.sqrt(np.diag(self._refiner.sizes_covariance)))
 
     # --- the first pose
 
