@@ -31,7 +31,7 @@ from stick_figure.body import Body
 from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
-from stick_figure.least_squares.free_ends import ANGLES, CORRELATED, COUNT, TURN_SD
+from stick_figure.least_squares.free_ends import ANGLES, CORRELATED, COUNT, STIFF_SD, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Stop, Weights
 from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
@@ -80,17 +80,13 @@ class VolumeSettings:
 class ContourSettings:
     """The contour rays against the body's surface.
 
-    turn_sd : rad, how far hands at the wrist and feet at the ankle turn from straight; 0 holds them. bend : how far the
-    trunk bends, over what is usual in daily movement (0: a rigid torso). joint_centres : reference points of shoulders,
-    hips and neck at a person's joint centres; else at the figure's.
+    rigid : the body is the stick figure: hands, feet and trunk are rigid, its joints are the figure's.
     """
 
     weight: float = setting(
         10000.0, "all contour rays together, in centerline points; 0 leaves the rays out", low=0.0, high=1e6
     )
-    turn_sd: float = TURN_SD
-    bend: float = 1.0
-    joint_centres: bool = True
+    rigid: bool = False
 
 
 @dataclass(frozen=True)
@@ -111,9 +107,8 @@ class ArticulatedSettings:
 
     @classmethod
     def of_ideal_figure(cls) -> ArticulatedSettings:
-        """Return the settings for a body that is the stick figure: its points lie on the sticks, hands, feet and torso
-        are rigid, and its joints are the figure's."""
-        return cls(model_sigma_m=1e-3, contour=ContourSettings(turn_sd=0.0, bend=0.0, joint_centres=False))
+        """Return the settings for a body that is the stick figure, whose points lie on the sticks."""
+        return cls(model_sigma_m=1e-3, contour=ContourSettings(rigid=True))
 
 
 class Minimum(NamedTuple):
@@ -161,7 +156,7 @@ def assess(body: Body, fitted: Minimum, data: Data, settings: ArticulatedSetting
     pose = fitted.pose
     found = gauss_newton.assess(data, State(*pose.arrays), fitted.turns, Figure.of(body), UNSEEN)
     points_world, covariance, counts, rms_m, near_sticks, matched = found
-    if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
+    if not settings.contour.rigid and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
     solution = Solution(len(data.points), int(counts.sum()), rms_m, fitted.iterations, fitted.converged)
     visible = _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS)
@@ -251,7 +246,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
         voxel=volume.weight * one / voxels if voxels else 0.0,
         neck=NECK_SD**-2,
         limit=LIMIT_SD_RAD**-2,
-        ends=CORRELATED * _information(settings.contour.turn_sd),
+        ends=CORRELATED / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
     )
 
 
@@ -264,7 +259,3 @@ def _supported(count_of_stick: np.ndarray, needed: int) -> np.ndarray:
     """Return (15,) bool: at least ``needed`` on one of the sticks that meet at the point."""
     enough = count_of_stick >= needed
     return np.asarray(enough[FIRST_SUPPORT] | enough[SECOND_SUPPORT])
-
-
-def _information(sd: float) -> float:
-    return 0.0 if sd == 0.0 else 1.0 / sd**2

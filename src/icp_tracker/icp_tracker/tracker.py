@@ -254,14 +254,14 @@ class IcpTracker:
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """Return what refines the body that was found; of one whose sizes are given it learns the build, unless that
         is given too."""
-        refinement, contour, body = self._settings.refinement, self._settings.articulated.contour, found.body
-        if body is None or refinement.keyframes == 0 or not self._all_joints or contour.weight == 0.0:
+        refinement, body = self._settings.refinement, found.body
+        if body is None or refinement.keyframes == 0 or not self._all_joints:
             return None
         if found.estimate is not None:
-            return BodyRefiner(found.estimate, refinement, None, contour.bend, contour.turn_sd, body.build)
+            return BodyRefiner(found.estimate, refinement, None, body.build)
         if body.build.any():
             return None
-        return BodyRefiner(known_sizes(body), refinement, body, contour.bend, contour.turn_sd)
+        return BodyRefiner(known_sizes(body), refinement, body)
 
 
 def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:

@@ -27,7 +27,7 @@ from capture_rig.small_matrices import solve_positive
 from ..body import BEND_NUMBERS
 from ..body_surface import BodySurface
 from .free_ends import CAPSULE as CAPSULE_OF_END
-from .free_ends import COUNT, add_free_end, is_free_end
+from .free_ends import COUNT, add_free_end
 from .normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -121,9 +121,8 @@ def add_contour(rays, match, placed, gate, ends, H, g):
     sums = no_sums(placed.P.shape[0], ENDS)
     sum_rays(rays, match, gate, sums)
     for e in range(COUNT):
-        if is_free_end(CAPSULE_OF_END[e], ends) >= 0:
-            add_free_end(sums, e, placed, ends, H, g)
-            sums.pulls[CAPSULE_OF_END[e]] = 0.0
+        add_free_end(sums, e, placed, ends, H, g)
+        sums.pulls[CAPSULE_OF_END[e]] = 0.0
     add_pose_sums(sums, placed, H, g)
 
 

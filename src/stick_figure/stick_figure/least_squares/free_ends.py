@@ -33,12 +33,12 @@ decide: a prior of 0.35 left forearms and calves pulled along (66 people of `mod
 points: 15.9 mm; 0.7: 15.2; 1.0: 15.1)."""
 CORRELATED = 200.0  # rays that count as one independent one: a set's are 1e7 / m^2, and worth six of a centimetre
 LARGEST_TURN = TURN_SD
+STIFF_SD = 1e-6  # rad, of the ends of a body that is the stick figure
 
 
 class FreeEnds(NamedTuple):
     """turns (4, 2) rad, and how they follow from a step of the pose: back (4, 2, 1 + CHAIN_COLUMNS), slots (4,
-    CHAIN_COLUMNS) of the tangent, used (4,) of them. ``information`` : of the turns about straight, 1/rad^2; 0 holds
-    the ends stiff."""
+    CHAIN_COLUMNS) of the tangent, used (4,) of them. ``information`` : of the turns about straight, 1/rad^2."""
 
     turns: np.ndarray
     back: np.ndarray
@@ -100,12 +100,6 @@ def _pivot(e, placed, pivot):
     """pivot (3,) <- the wrist, where the hand's capsule starts, or the ankle."""
     for i in range(3):
         pivot[i] = placed.P[CAPSULE[e], i] if e < 2 else placed.B[STICK[e], i]
-
-
-@njit(cache=True)
-def is_free_end(k, ends):
-    """Return the number of the end that capsule k belongs to; -1 of none, or when ends are stiff."""
-    return end_of_capsule(k) if ends.information > 0.0 else -1
 
 
 @kernel

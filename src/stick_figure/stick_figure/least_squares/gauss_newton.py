@@ -50,7 +50,7 @@ class Weights(NamedTuple):
     """How much each term counts: information in 1/m^2 or 1/rad^2; zero switches it off.
 
     prior (24,) : of the tangent slots about the start. neck, limit : of the neck's rest and of the joints' limits.
-    ends : of hands and feet about straight, 0 holds them there.
+    ends : of hands and feet about straight.
     """
 
     prior: np.ndarray
