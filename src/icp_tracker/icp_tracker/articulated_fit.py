@@ -18,6 +18,7 @@ alike, keypoints (of whoever has a detector) do not, so the weight of one is OVE
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from stick_figure.body import Body
 from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
-from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
+from stick_figure.least_squares.free_ends import ANGLES, CORRELATED, COUNT, STIFF_SD, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Stop, Weights
 from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
@@ -79,17 +80,13 @@ class VolumeSettings:
 class ContourSettings:
     """The contour rays against the body's surface.
 
-    turn_sd : rad, how far hands at the wrist and feet at the ankle turn from straight; 0 holds them. bend : how far the
-    trunk bends, over what is usual in daily movement (0: a rigid torso). joint_centres : reference points of shoulders,
-    hips and neck at a person's joint centres; else at the figure's.
+    rigid : the body is the stick figure: hands, feet and trunk are rigid, its joints are the figure's.
     """
 
     weight: float = setting(
         10000.0, "all contour rays together, in centerline points; 0 leaves the rays out", low=0.0, high=1e6
     )
-    turn_sd: float = TURN_SD
-    bend: float = 1.0
-    joint_centres: bool = True
+    rigid: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,9 +107,18 @@ class ArticulatedSettings:
 
     @classmethod
     def of_ideal_figure(cls) -> ArticulatedSettings:
-        """Return the settings for a body that is the stick figure: its points lie on the sticks, hands, feet and torso
-        are rigid, and its joints are the figure's."""
-        return cls(model_sigma_m=1e-3, contour=ContourSettings(turn_sd=0.0, bend=0.0, joint_centres=False))
+        """Return the settings for a body that is the stick figure, whose points lie on the sticks."""
+        return cls(model_sigma_m=1e-3, contour=ContourSettings(rigid=True))
+
+
+class Minimum(NamedTuple):
+    """Where a fit ends: the pose, the iterations that it took, whether it converged, and the turns (4, 2) rad of hands
+    and feet."""
+
+    pose: Pose
+    iterations: int
+    converged: bool
+    turns: np.ndarray = np.zeros((COUNT, ANGLES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,29 +138,27 @@ class FitResult:
     matched: RayMatch
 
 
-def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
-    """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
+def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> Minimum:
+    """Fit the figure to the data from ``start``."""
     state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
     stop = Stop(settings.max_iterations, TOLERANCE_M, HINGE_MARGIN_RAD)
-    iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
-    return state.pose(), iterations, moved
+    iterations, moved, turns = gauss_newton.minimise(data, state, figure, weights, stop)
+    return Minimum(state.pose(), iterations, bool(moved < TOLERANCE_M), turns)
 
 
-def assess(
-    body: Body, pose: Pose, data: Data, iterations: int, converged: bool, settings: ArticulatedSettings
-) -> FitResult:
-    """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
+def assess(body: Body, fitted: Minimum, data: Data, settings: ArticulatedSettings) -> FitResult:
+    """Return what the data say about a pose: residuals, information, reference points and their covariance.
 
     The covariance of a point is what the independent rows of this set determine: ``J H^-1 J^T`` with the H of
     :mod:`stick_figure.least_squares.independent_rows`. Most of it lasts for many sets (the filter's share); where in a
     limb a joint is (the filter's joint uncertainty) is not in it.
     """
-    weights = make_weights(data, settings)
-    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, UNSEEN)
+    pose = fitted.pose
+    found = gauss_newton.assess(data, State(*pose.arrays), fitted.turns, Figure.of(body), UNSEEN)
     points_world, covariance, counts, rms_m, near_sticks, matched = found
-    if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
+    if not settings.contour.rigid and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
-    solution = Solution(len(data.points), int(counts.sum()), rms_m, int(iterations), bool(converged))
+    solution = Solution(len(data.points), int(counts.sum()), rms_m, fitted.iterations, fitted.converged)
     visible = _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS)
     return FitResult(pose, solution, points_world, covariance, visible, matched)
 
@@ -242,7 +246,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
         voxel=volume.weight * one / voxels if voxels else 0.0,
         neck=NECK_SD**-2,
         limit=LIMIT_SD_RAD**-2,
-        ends=CORRELATED * _information(settings.contour.turn_sd),
+        ends=CORRELATED / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
     )
 
 
@@ -255,7 +259,3 @@ def _supported(count_of_stick: np.ndarray, needed: int) -> np.ndarray:
     """Return (15,) bool: at least ``needed`` on one of the sticks that meet at the point."""
     enough = count_of_stick >= needed
     return np.asarray(enough[FIRST_SUPPORT] | enough[SECOND_SUPPORT])
-
-
-def _information(sd: float) -> float:
-    return 0.0 if sd == 0.0 else 1.0 / sd**2

@@ -20,7 +20,6 @@ from stick_figure.body import Body
 from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.normal_equations import TANGENT
-from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.body_sizes import BodyEstimate
@@ -28,8 +27,8 @@ from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import (
     LONGEST_S,
-    TOLERANCE_M,
     FitResult,
+    Minimum,
     assess,
     make_data,
     minimise,
@@ -37,9 +36,9 @@ from .articulated_fit import (
     rays_in_use,
     unknown_covariance,
 )
-from .body_uncertainty import covariance_of_sizes, widen_hidden
+from .body_uncertainty import covariance_of_sizes
 from .extrinsic_monitor import ContourResiduals
-from .monitor.evidence import SAME_M, evidence_of
+from .monitor.evidence import SAME_M
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
 from .refinement.body_refiner import BodyRefiner, known_sizes, warm_up_refiner
 from .refinement.trunk_bend import TrunkBend
@@ -74,7 +73,6 @@ class IcpTracker:
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
         self._own_sets: int | None = None  # since which fits start from the own pose, because the filter has to follow
-        self._data_fitted: Data | None = None
         self._matched: tuple[FitResult, ContourRays] | None = None
 
     @property
@@ -93,11 +91,6 @@ class IcpTracker:
         return self._pose
 
     @property
-    def has_outline(self) -> bool:
-        """Whether the last set was fitted, and to contour rays."""
-        return self._data_fitted is not None and len(self._data_fitted.contour_rays.information) > 0
-
-    @property
     def residuals(self) -> ContourResiduals | None:
         """What the contour rays of the last set are matched to, if it was fitted and the fit is not lost."""
         if self._matched is None:
@@ -111,12 +104,6 @@ class IcpTracker:
         if prediction is None or prediction.pose is None or self._own_sets is not None:
             return self._pose
         return None if self._pose is None else self._predicted(stamp_ns, prediction, prediction.pose)
-
-    def cost_of(self, body: Body, pose: Pose) -> float:
-        """Return how badly (rays) a body explains the last set, fitted to it from a pose; needs a fit there."""
-        assert self._data_fitted is not None
-        fitted, _, _ = minimise(body, pose, self._data_fitted, self._settings.articulated)
-        return evidence_of(Figure.of(body), fitted, self._data_fitted).cost
 
     def move_to(self, pose: Pose) -> None:
         """Go on from another pose of the same body; the filter has to follow. ValueError while there is no body."""
@@ -134,17 +121,14 @@ class IcpTracker:
     def _all_joints(self) -> bool:
         return self._settings.method == "articulated"
 
-    def step(
-        self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True, shared: bool = False
-    ) -> Fit:
-        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too;
-        ``shared`` : what is seen of the person is another one's, too."""
+    def step(self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True) -> Fit:
+        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too."""
         seen, dropped = seen.finite()
-        self._data_fitted = self._matched = None
+        self._matched = None
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
-            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn and not shared)
+            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
         return replace(fit, dropped_points=dropped) if dropped else fit
 
     def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
@@ -159,19 +143,19 @@ class IcpTracker:
         if prediction is not None:  # cameras that are not in step see the body at several instants
             rays = rays_at_stamp(seen.contour_rays, body, start, prediction.velocity)
             seen = replace(seen, contour_rays=rays)
-        data = self._data_fitted = self._data(seen)
+        data = self._data(seen)
         fit = self._solve(body, start, data)
         settings = self._settings.articulated
         found = self._monitor.assess(seen.stamp_ns, body, fit.pose, data, settings, fit.matched)
         if found.better is not None:
-            fit = assess(body, found.better, data, fit.solution.iterations, fit.solution.converged, settings)
+            fit = self._solve(body, found.better, data)
         elif found.quality.state == GOOD and learn:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:
             self._own_sets = 0
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
-        if judged.state != LOST and self.has_outline:
+        if judged.state != LOST and len(data.contour_rays.information) > 0:
             self._matched = fit, seen.contour_rays
         if found.better is None and found.quality.state == GOOD and self._body is not None:
             self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
@@ -211,10 +195,9 @@ class IcpTracker:
         settings = self._settings.articulated
         if self._all_joints:
             patience = settings if iterations is None else replace(settings, max_iterations=iterations)
-            pose, spent, moved = minimise(body, start, data, patience)
-            return assess(body, pose, data, spent, moved < TOLERANCE_M, settings)
-        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.descendant_weight)
-        return assess(body, pose, data, spent, converged, settings)
+            return assess(body, minimise(body, start, data, patience), data, settings)
+        fitted = Minimum(*fit_hierarchical(body, start, data.points, self._settings.descendant_weight))
+        return assess(body, fitted, data, settings)
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
         """Return the fit, done again with a better known body when there is one."""
@@ -242,10 +225,10 @@ class IcpTracker:
         )
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
-        """Return the fit's covariance, with that of the body's sizes and of what is not seen."""
-        size_sd_m = None if self._refiner is None else np.sqrt(np.diag(self._refiner.sizes_covariance))
-        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, size_sd_m, self._visibility)
-        return widened if size_sd_m is None else widened + covariance_of_sizes(fit.pose, size_sd_m)
+        """Return the fit's covariance, with that of the body's sizes."""
+        if self._refiner is None:
+            return fit.covariance
+        return fit.covariance + covariance_of_sizes(fit.pose, np.sqrt(np.diag(self._refiner.sizes_covariance)))
 
     # --- the first pose
 
@@ -271,14 +254,14 @@ class IcpTracker:
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """Return what refines the body that was found; of one whose sizes are given it learns the build, unless that
         is given too."""
-        refinement, contour, body = self._settings.refinement, self._settings.articulated.contour, found.body
-        if body is None or refinement.keyframes == 0 or not self._all_joints or contour.weight == 0.0:
+        refinement, body = self._settings.refinement, found.body
+        if body is None or refinement.keyframes == 0 or not self._all_joints:
             return None
         if found.estimate is not None:
-            return BodyRefiner(found.estimate, refinement, None, contour.bend, contour.turn_sd, body.build)
+            return BodyRefiner(found.estimate, refinement, None, body.build)
         if body.build.any():
             return None
-        return BodyRefiner(known_sizes(body), refinement, body, contour.bend, contour.turn_sd)
+        return BodyRefiner(known_sizes(body), refinement, body)
 
 
 def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:
@@ -305,7 +288,7 @@ def warm_up(settings: TrackerSettings, visibility: RigVisibility | None = None) 
     if settings.method == "articulated":
         trunk = TrunkBend(settings.articulated)
         data = make_data(points, 0.01, voxels, settings.articulated, contour_rays, visibility)
-        matched = assess(body, pose, data, 0, True, settings.articulated).matched
+        matched = assess(body, Minimum(pose, 0, True), data, settings.articulated).matched
         for k in range(2):
             trunk.look(k, body, pose, data.contour_rays, matched)
     if settings.refinement.keyframes > 0:

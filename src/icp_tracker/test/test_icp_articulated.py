@@ -14,7 +14,7 @@ from mocap_packets.hull import ContourRays
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward, sticks
 from stick_figure.least_squares.contour_factor import RayArrays, add_contour, match_rays
-from stick_figure.least_squares.free_ends import straight_ends
+from stick_figure.least_squares.free_ends import CORRELATED, STIFF_SD, straight_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.least_squares.point_factor import add_point_residuals, match_points
 from stick_figure.pose import Pose
@@ -205,7 +205,12 @@ def test_the_gradient_of_the_squared_distances_is_the_pull(ray_scene):
     off = disturbed(pose, rng, 0.05, 0.02)
     match, radii = match_rays(as_arrays(rays), synthetic.placed(body, off), 0.05), Figure.of(body).surface.radii
     _, g = synthetic.equations(
-        add_contour, as_arrays(rays), match, synthetic.placed(body, off), synthetic.WIDE_M, straight_ends(0.0)
+        add_contour,
+        as_arrays(rays),
+        match,
+        synthetic.placed(body, off),
+        synthetic.WIDE_M,
+        straight_ends(CORRELATED / STIFF_SD**2),
     )
 
     def cost(slot, step):

@@ -19,7 +19,7 @@ from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
 
 BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0))
-RIGID = replace(BENDS, contour=replace(BENDS.contour, bend=0.0))
+RIGID = replace(BENDS, contour=replace(BENDS.contour, rigid=True))
 FRAME_NS = 16_666_667
 BEND = np.zeros(BEND_NUMBERS)
 BEND[[LEFT_Z, PELVIS_YAW, RIGHT_X]] = 0.04, 0.12, 0.02
@@ -37,7 +37,7 @@ def followed():
         trunk, found = TrunkBend(settings), pose
         data = make_data(np.zeros((1, 3)), 0.0, NO_VOXELS, settings, rays)
         for k in range(60):
-            found, _, _ = minimise(trunk.of(body), found, data, settings)
+            found = minimise(trunk.of(body), found, data, settings).pose
             match = match_to(Figure.of(trunk.of(body)), State.of(found), data)
             trunk.look(k * FRAME_NS, body, found, data.contour_rays, match)
         errors.append(np.linalg.norm(forward(trunk.of(body), found) - forward(bent, pose), axis=1))
@@ -60,7 +60,7 @@ def test_rigid_torso_stays_at_rest(followed):
 # --- hands that bend at the wrist and feet that turn at the ankle -----------------------------------------------------
 
 FREE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=20)
-STIFF = replace(FREE, contour=ContourSettings(turn_sd=0.0))
+STIFF = replace(FREE, contour=ContourSettings(rigid=True))
 HAND, FOOT = END_CAPSULES[0], END_CAPSULES[2]
 
 

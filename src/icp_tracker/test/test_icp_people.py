@@ -1,4 +1,4 @@
-"""Several persons before the studio's cameras: standing apart, touching, leaving, coming back, taken for each other."""
+"""Several persons before the studio's cameras: standing apart, touching, leaving, coming back."""
 
 from dataclasses import replace
 
@@ -8,7 +8,6 @@ import t_pose_studio
 
 from capture_rig.visibility import RigVisibility
 from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_phantom
-from icp_tracker.people.identity import IdentityCheck, Verdict
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
 from icp_tracker.settings import IcpNodeSettings
 from icp_tracker.tracker import make_tracker
@@ -127,31 +126,6 @@ def test_first_person_who_leaves_keeps_the_number_and_the_second_stays_the_secon
     assert fits[2].state == "tracking"
     assert off_mm(fits[2], SHORT, SHORT_AT) < 60.0
     assert number_of(play("both", FOUND_SETS), TALL, TALL_AT) == 1
-
-
-def test_persons_of_other_sizes_who_were_taken_for_each_other_are_exchanged_again(hulls):
-    play = Play(hulls)
-    fits = play("both", FOUND_SETS)
-    tall, short = number_of(fits, TALL, TALL_AT), number_of(fits, SHORT, SHORT_AT)
-    people = play.tracker._persons
-    poses = people[tall].tracker.pose, people[short].tracker.pose
-    people[tall].tracker.move_to(poses[1])
-    people[short].tracker.move_to(poses[0])
-    play.tracker._checks.append(IdentityCheck(1, 2))
-    fits = play("both", 60)
-    assert number_of(fits, TALL, TALL_AT) == tall
-    assert number_of(fits, SHORT, SHORT_AT) == short
-    assert not play.tracker._checks
-
-
-def test_check_of_persons_at_their_own_places_says_that_they_are_right(hulls):
-    play = Play(hulls)
-    play("both", FOUND_SETS)
-    first, second = (play.tracker._persons[number].tracker for number in (1, 2))
-    check, verdict = IdentityCheck(1, 2), Verdict.OPEN
-    for _ in range(60):
-        verdict = check.look(first, second, False) if verdict == Verdict.OPEN else verdict
-    assert verdict == Verdict.RIGHT
 
 
 EXPECTED_CLOSE = [Expected(1, TALL.body, CLOSE[0]), Expected(2, SHORT.body, CLOSE[1])]

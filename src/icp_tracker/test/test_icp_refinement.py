@@ -16,7 +16,7 @@ from mocap_packets.hull import HullProducts
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.body_surface import BodySurface, build_of_girth
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, straight_ends, turn_ends
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, turn_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
@@ -30,7 +30,7 @@ EXACT = RefinementSettings(
 def wrong_start(rng):
     """A prior and a body drawn from it."""
     estimate = prior_sizes(H)
-    prior = shapes.ShapePrior.of(estimate, 1.0)
+    prior = shapes.ShapePrior.of(estimate)
     truth = prior.mean + rng.normal(size=len(prior.mean)) * np.sqrt(np.diag(prior.covariance)) * 0.8
     return estimate, truth
 
@@ -64,7 +64,7 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
     rng = np.random.default_rng(4)
     estimate = prior_sizes(H)
     straight = Pose.from_angles([0.0, 0.0, 1.1], np.eye(3), T_POSE_ANGLES)
-    truth = shapes.ShapePrior.of(estimate, 1.0).mean
+    truth = shapes.ShapePrior.of(estimate).mean
     coarse = RefinementSettings(keyframes=12, turn=0.05, independent_rays=24.0)
     held, _ = refined_by(estimate, truth, [straight], coarse, rng)
     moved, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], coarse, rng)
@@ -96,7 +96,7 @@ def test_covariance_is_honest_over_bodies_drawn_from_the_prior():
 def test_no_size_leaves_the_prior_by_more_than_its_limit_when_rims_are_of_somebody_else():
     rng = np.random.default_rng(5)
     estimate = prior_sizes(H)
-    truth = shapes.ShapePrior.of(estimate, 1.0).mean
+    truth = shapes.ShapePrior.of(estimate).mean
     truth[THIGH] += 9.0 * estimate.sd[THIGH]
     settings = RefinementSettings(keyframes=6, turn=0.05, explained=0.0, independent_rays=400.0)
     refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(6)], settings, rng)
@@ -108,7 +108,7 @@ def test_no_size_leaves_the_prior_by_more_than_its_limit_when_rims_are_of_somebo
 def test_pose_whose_arm_the_flesh_does_not_explain_has_no_say():
     rng = np.random.default_rng(6)
     estimate = prior_sizes(H)
-    truth = shapes.ShapePrior.of(estimate, 1.0).mean
+    truth = shapes.ShapePrior.of(estimate).mean
     body, pose = shapes.body_of(truth), made.moving_pose(rng)
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng)
     angles = pose.angles()
@@ -125,7 +125,7 @@ def test_body_far_from_the_average_is_learnt_though_no_pose_explains_the_share_t
     """A tall, stout person who walked in is taken for average at first; after a moment the best poses count."""
     rng = np.random.default_rng(10)
     estimate = prior_sizes(H)
-    truth = shapes.ShapePrior.of(estimate, 1.0).mean
+    truth = shapes.ShapePrior.of(estimate).mean
     truth[shapes.SIZE] *= 1.06
     truth[shapes.BUILD] = build_of_girth(1.4)
     settings = replace(EXACT, pause_s=0.0)
@@ -163,7 +163,7 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
     estimate, truth = wrong_start(rng)
     body, pose = shapes.body_of(truth), made.moving_pose(rng)
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng, each=6)
-    values = shapes.ShapePrior.of(estimate, 1.0).mean
+    values = shapes.ShapePrior.of(estimate).mean
     model, n = shapes.ShapeArrays.of(values), shapes.POSE + len(values)
     H_, g = np.empty((n, n)), np.empty(n)
     wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
@@ -185,9 +185,8 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
 
 
 def turned(pose, figure, turns):
-    placed, ends = place(State.of(pose), figure), straight_ends(1.0)
-    ends.turns[:] = turns
-    turn_ends(ends, placed)
+    placed = place(State.of(pose), figure)
+    turn_ends(turns, placed)
     return placed
 
 

@@ -42,14 +42,13 @@ FOOT_POINTS = [13, 14]
 class AcquisitionObservation(Observation):
     """One frame set against which first poses are assessed.
 
-    body : as is known by now. cameras (n,) : of the data's rays. voxels (m, 3) m, world, of an edge ``pitch``, m.
+    body : as is known by now. cameras (n,) : of the data's rays. voxels (m, 3) m, world.
     cut : the parts of the body that the rig does not show.
     """
 
     guess_iterations: ClassVar[int] = FIRST_ITERATIONS
     cameras: np.ndarray
     voxels: np.ndarray
-    pitch: float
     stance: Stance
     cut: tuple[str, ...]
     visibility: RigVisibility | None

@@ -1,13 +1,12 @@
 """Truncation of a body by the volume and the views: which parts are cut off, which camera misses them, where to step.
 
 Outside the volume, and where too few cameras see, a hull ends although the body goes on. A part of which the hull ends
-there is unknown: it may not be measured. The step is the smallest one within the volume after which enough cameras see
-head, hands and feet.
+there is unknown: it may not be measured.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,8 +27,6 @@ TIP_M, TIP_CUT = 0.06, 0.33  # two cells of the hull and half a hand; its outerm
 TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
 # places of a T-pose over the stature: ahead, to the left, up (Drillis & Contini 1966: feet .152 long, span about 1)
 ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
-STEP_M, FARTHEST_M, DIRECTIONS = 0.1, 2.5, 16  # steps that are tried
-MARGIN_M = 0.10  # a place is seen with so much to spare: the hull of three cameras is so much wider than a hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +38,12 @@ class Stance:
     floor_world: float
     stature: float
 
-    def places_of(self, part: str = "") -> np.ndarray:
-        """Return points (k, 3) about one part of a T-pose in this stance, or about all of it, world, metres."""
+    def places_of(self, parts: tuple[str, ...]) -> np.ndarray:
+        """Return points (k, 3) about some parts of a T-pose in this stance, all of it for BODY, world, metres."""
         ahead = np.array([*self.forward_world, 0.0])
         left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
         origin = np.array([*self.place_world, self.floor_world])
-        parts = _T_POSE if part == "" else {part: _T_POSE[part]}
-        local = np.concatenate(list(parts.values())) * self.stature
+        local = np.concatenate([_T_POSE[part] for part in (_T_POSE if BODY in parts else parts)]) * self.stature
         return np.asarray(origin + local @ np.array([ahead, left, up]))
 
 
@@ -128,64 +124,15 @@ def _tip(arms: np.ndarray, outwards: np.ndarray) -> np.ndarray:
 
 
 def advice_text(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility) -> str:
-    """Say in one sentence what is not seen, by which cameras, and where to step or which camera to turn."""
+    """Say in one sentence what is not seen, by which cameras, and where to step."""
     names = dict.fromkeys(part.split()[-1] for part in parts)  # whose front is not known has no left hand
     yours = "you" if parts == (BODY,) else "your " + " and ".join(names)
-    places = stance.places_of() if parts == (BODY,) else np.concatenate([stance.places_of(part) for part in parts])
+    places = stance.places_of(parts)
     inside, seen = visibility.in_volume(places), visibility.seen_by(places)
     blind = [name for name, sees in zip(visibility.names, seen[inside].T, strict=True) if not sees.all()]
     if not inside.all() or not blind:
         be = "are" if yours == "you" or "feet" in yours or len(names) > 1 else "is"
-        what = f"{yours} {be} partly outside the volume"
-    else:
-        what = f"{_listed(blind)} {'does' if len(blind) == 1 else 'do'} not see {yours}"
-        what = what.replace("see you", "see all of you") if yours == "you" else what
-    step = smallest_translation_into_view(stance, visibility)
-    if step is not None:
-        return f"{what}: {_said(step, stance, visibility)}"
-    return f"{what}: {_turn(stance, visibility)}"
-
-
-def smallest_translation_into_view(stance: Stance, visibility: RigVisibility) -> np.ndarray | None:
-    """Return the smallest step (2,) m after which a T-pose of this stance is shown whole; None if there is no place."""
-    places = stance.places_of()
-    spread = MARGIN_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
-    places = (places[:, None] + spread).reshape(-1, 3)
-    angles = np.arange(DIRECTIONS) * 2.0 * np.pi / DIRECTIONS
-    for length in np.arange(STEP_M, FARTHEST_M, STEP_M):
-        steps = length * np.column_stack([np.cos(angles), np.sin(angles)])
-        stands = (
-            (stance.place_world + steps >= visibility.volume.low[:2])
-            & (stance.place_world + steps <= visibility.volume.high[:2])
-        ).all(axis=1)
-        moved = places + np.column_stack([steps, np.zeros(DIRECTIONS)])[:, None]
-        shown = visibility.shows(moved.reshape(-1, 3)).reshape(DIRECTIONS, -1).all(axis=1) & stands
-        if shown.any():
-            return np.asarray(steps[int(np.argmax(shown))])
-    return None
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-
-
-def _said(step: np.ndarray, stance: Stance, visibility: RigVisibility) -> str:
-    """Put a step into words: towards a camera or away from it."""
-    length = float(np.linalg.norm(step))
-    ways = [(camera.centre_world[:2] - stance.place_world, camera.name) for camera in visibility.rig.cameras]
-    along = {name: float(step @ way / max(np.linalg.norm(way), 1e-6)) for way, name in ways}
-    toward, away = max(along, key=along.__getitem__), min(along, key=along.__getitem__)
-    if along[toward] >= -along[away]:
-        return f"step {length:.1f} m towards {toward}"
-    return f"step {length:.1f} m away from {away}"
-
-
-def _turn(stance: Stance, visibility: RigVisibility) -> str:
-    """Say which camera shows least of somebody in the middle of the volume."""
-    middle = 0.5 * (visibility.volume.low + visibility.volume.high)[:2]
-    places = replace(stance, place_world=middle).places_of()
-    if not visibility.in_volume(places).all():
-        return "the volume is too small for a T-pose"
-    camera = visibility.names[int(np.argmax((~visibility.seen_by(places)).sum(axis=0)))]
-    where = f"turn {camera} towards the middle of the volume, or move it back"
-    return f"no place in the volume is seen by {visibility.needed} cameras; {where}"
+        return f"{yours} {be} partly outside the volume: step towards its middle"
+    do, it = ("does", "it") if len(blind) == 1 else ("do", "them")
+    whole = "all of you" if yours == "you" else yours
+    return f"{' and '.join(blind)} {do} not see {whole}: step away from {it}, or turn {it} towards you"

@@ -11,16 +11,19 @@ detected elbows and hands say for a place is added.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
-from stick_figure.body_surface import place_capsules
-from stick_figure.least_squares.contour_factor import RayMatch, match_rays, sum_rays
+from stick_figure.body_surface import BodySurface, place_capsules
+from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, RayMatch, match_rays, rays_at, sum_rays
+from stick_figure.least_squares.contour_factor import TANGENT as ALONG
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.independent_rows import CELLS, cell_of_ray
 from stick_figure.least_squares.keypoint_factor import keypoint_support
@@ -40,9 +43,10 @@ from stick_figure.pose import Pose
 from ..articulated_fit import POINT_GATE_M
 from .evidence import GATE_M, RAYS_PER_NAT, SAME_M, SLACK_M, match_to, ray_cost
 from .pose_library import Limb, LimbPoses
-from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
 # Thresholds: measured by python bench/recovery.py.
+COARSE_GATE_M = 2.0 * GATE_M  # the library is coarse: an elbow may be 80 mm off
+EXPLAINED_BY_BODY_M = 0.03  # data closer than this to the rest of the body are explained already
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
 ITERATIONS = 4
@@ -265,3 +269,66 @@ def _ends(placed, limb):
     ends = np.empty((2, 3))
     ends[0], ends[1] = placed.B[limb.upper], placed.B[limb.lower]
     return ends
+
+
+# --- the data that the body without the limb does not explain, within the limb's reach
+
+
+class UnexplainedData(NamedTuple):
+    """What the rest of the body does not explain, within reach of a limb.
+
+    rays, coarse, fine (n,) : contour rays, and what each costs without the limb at a wide gate and at the usual one.
+    """
+
+    rays: RayArrays
+    coarse: np.ndarray
+    fine: np.ndarray
+
+
+@njit(cache=True)
+def unexplained_data(data, matched, state, figure, limb):
+    """Return the data that the body without the limb does not explain."""
+    rays, placed, own = data.contour_rays, place(state, part_of(figure, limb, False)), _is_of_limb(figure, limb)
+    without, root = _rays_without(rays, matched, placed, own), placed.A[limb.upper].copy()
+    reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
+    chosen, count = np.empty(without.shape[0], np.int64), 0
+    for i in range(without.shape[0]):
+        if without[i] > EXPLAINED_BY_BODY_M and _distance_of_ray(rays.rows, i, root) < reach:
+            chosen[count] = i
+            count += 1
+    chosen = chosen[:count]
+    left = without[chosen]
+    return UnexplainedData(
+        RayArrays(rays_at(rays, chosen).rows, np.ones(count)), ray_cost(left, COARSE_GATE_M), ray_cost(left, GATE_M)
+    )
+
+
+@njit(cache=True)
+def _rays_without(rays, match, placed, own):
+    """Return the separation (n,) of the rays from a body without some of its ``own`` (k,) bool capsules: those that
+    were matched to one of them are matched anew."""
+    separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
+    separation[again] = match_rays(rays_at(rays, again), placed, SLACK_M).separation
+    return separation
+
+
+@njit(cache=True)
+def _distance_of_ray(rows, i, point):
+    """Return the distance of a point from a ray's line."""
+    across = rows[NORMAL, i] * point[0] + rows[NORMAL + 1, i] * point[1] + rows[NORMAL + 2, i] * point[2]
+    along = rows[ALONG, i] * point[0] + rows[ALONG + 1, i] * point[1] + rows[ALONG + 2, i] * point[2]
+    return math.hypot(across - rows[NORMAL + 3, i], along - rows[ALONG + 3, i])
+
+
+@njit(cache=True)
+def _is_of_limb(figure, limb):
+    """Return which capsules (k,) bool are the limb's."""
+    return (figure.surface.stick == limb.upper) | (figure.surface.stick == limb.lower)
+
+
+@njit(cache=True)
+def part_of(figure, limb, own):
+    """Return the figure with the limb's surface alone (``own``), or with all but the limb's."""
+    surface, rows = figure.surface, np.flatnonzero(_is_of_limb(figure, limb) == own)
+    part = BodySurface(surface.stick[rows], surface.start[rows], surface.end[rows], surface.radii[rows])
+    return Figure(figure.lengths, figure.origins, part)

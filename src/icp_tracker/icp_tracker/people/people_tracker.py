@@ -2,8 +2,8 @@
 
 Every person has an :class:`~icp_tracker.tracker.IcpTracker`, which fits the rows of the hull that data association
 gives it (``association.py``). A part that nobody explains belongs to somebody who comes back, or to a newcomer, whose
-acquisition sees this part alone. Who was not told apart from another for a while is recognised by size
-(``identity.py``). One person alone is followed as the tracker of one body follows it, to the last bit.
+acquisition sees this part alone; one who has the sizes of a person who is away is that person. One person alone is
+followed as the tracker of one body follows it, to the last bit.
 """
 
 from __future__ import annotations
@@ -22,17 +22,19 @@ from mocap_packets.state import Prediction
 from stick_figure.body import Body
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
+from ..acquisition.body_sizes import BodyEstimate
 from ..acquisition.pose_source import HULL_SOURCES
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from ..monitor.evidence import SAME_M
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons, is_phantom
-from .identity import ALIKE, IdentityCheck, OcclusionEvents, Verdict, sizes_apart
 
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
 BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a phantom's does not
 LOOK_PERIOD_S = 0.045  # from one look at a newcomer to the next while somebody is followed: fits do not wait for it
+SIZES_ERR_M = 0.01  # of two measurements of one person beyond what their covariances say: clothes, posture
+ALIKE = 25.0  # squared Mahalanobis distance of ten sizes that one person's stay below in 99.5 % of the cases
 NO_PART = -2  # is the number of no part of a hull
 
 
@@ -74,8 +76,6 @@ class PeopleTracker:
         self._persons: dict[int, _Person] = {}
         self._newcomers: dict[int, IcpTracker] = {NO_PART: self._make()}  # by the number of their part of the hull
         self._reasons: dict[int, str] = {}
-        self._occlusions = OcclusionEvents()
-        self._checks: list[IdentityCheck] = []
         self._newcomer_ns: dict[int, int] = {}  # when each was there last
         self._looked_ns, self._turn = 0, 0
         self._keypoints: dict[int, Keypoints] = {}  # of the set that is fitted, by person
@@ -129,8 +129,6 @@ class PeopleTracker:
         fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
         self._merge_duplicate_tracks(fits)
-        self._checks += self._occlusions.update(seen.stamp_ns, association.shared.values())
-        fits = self._tell_apart(seen.stamp_ns, association, fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
     def _step_alone(self, seen: HullProducts, prediction: Prediction | None) -> Fit:
@@ -196,14 +194,12 @@ class PeopleTracker:
             gone = number != FIRST_PERSON and seen.stamp_ns - person.seen_ns >= GONE_AFTER_S * NS_PER_S
             if gone and number not in rows and number not in back:
                 continue
-            learn = not person.away and not any(check.concerns(number) for check in self._checks)
-            shared = bool(association.sharers(number))
-            own = self._with_keypoints(number, own)
-            fit = person.tracker.step(own, predictions.get(number), learn, shared)
+            learn = not person.away and not association.sharers(number)
+            fit = person.tracker.step(self._with_keypoints(number, own), predictions.get(number), learn)
             if number in rows:
                 person.seen_ns = seen.stamp_ns
             elif number in back and person.is_back(seen.stamp_ns, fit.state):
-                self._has_returned(number, person, seen.stamp_ns)
+                person.away, person.seen_ns, person.good_ns = False, seen.stamp_ns, None
             elif gone:
                 continue
             elif number in back and fit.state != LOST:  # perhaps a phantom: not believed yet
@@ -211,13 +207,6 @@ class PeopleTracker:
                 fit = replace(fit, state=LOST, reason=reason, visible=np.zeros(15, dtype=bool))
             fits[number] = replace(fit, person=number)
         return fits
-
-    def _has_returned(self, number: int, person: _Person, stamp_ns: int) -> None:
-        """Take somebody for a person who was away, until the sizes of others who are away say otherwise."""
-        person.away, person.seen_ns, person.good_ns = False, stamp_ns, None
-        for other, another in sorted(self._persons.items()):
-            if another.away and another.tracker.body is not None:
-                self._checks.append(IdentityCheck(number, other))
 
     def _merge_duplicate_tracks(self, fits: Mapping[int, Fit]) -> None:
         """Drop the one of two figures in one place that explains less: one person is not there twice."""
@@ -303,48 +292,12 @@ class PeopleTracker:
                 likeness.append((sizes_apart(known, measured), number))
         return [number for apart, number in sorted(likeness) if apart < ALIKE]
 
-    # --- who is who --------------------------------------------------------------------------------------------------
 
-    def _tell_apart(self, stamp_ns: int, association: Association, fits: dict[int, Fit]) -> dict[int, Fit]:
-        """Compare the sizes of those who may have been taken for each other; exchange them where that fits better."""
-        for check in list(self._checks):
-            first, second = check.first, check.second
-            if self._persons[first].away:
-                first, second = second, first
-            away = self._persons[second].away
-            if first not in fits or self._persons[first].away or not (away or second in fits):
-                continue
-            if second in association.sharers(first):
-                continue
-            verdict = check.look(self._persons[first].tracker, self._persons[second].tracker, away)
-            if verdict == Verdict.OPEN:
-                continue
-            self._checks.remove(check)
-            if verdict == Verdict.EXCHANGED:
-                fits = self._exchange(stamp_ns, first, second, fits)
-            elif verdict == Verdict.ALIKE:
-                note = f"perhaps person {second}: their sizes are too much alike to tell"
-                fits[first] = replace(fits[first], recovered=note)
-        return fits
-
-    def _exchange(self, stamp_ns: int, first: int, second: int, fits: dict[int, Fit]) -> dict[int, Fit]:
-        """Let two persons change places, one of whom may be away."""
-        one, other = self._persons[first], self._persons[second]
-        assert one.tracker.pose is not None and other.tracker.pose is not None
-        poses = other.tracker.pose, one.tracker.pose
-        one.tracker.move_to(poses[0])
-        other.tracker.move_to(poses[1])
-        one.away, other.away = other.away, one.away
-        one.seen_ns, other.seen_ns = other.seen_ns, one.seen_ns
-        exchanged = dict(fits)
-        for number, source in ((first, second), (second, first)):
-            exchanged.pop(number, None)
-            if source in fits:
-                told = f"exchanged with person {source}: their sizes fit better so"
-                exchanged[number] = replace(fits[source], person=number, recovered=told)
-        if FIRST_PERSON not in exchanged:
-            exchanged[FIRST_PERSON] = fits_nothing(stamp_ns, "taken for somebody else")
-        return exchanged
+def sizes_apart(first: BodyEstimate, second: BodyEstimate) -> float:
+    """Return the squared Mahalanobis distance of two measurements of sizes."""
+    difference = first.sizes - second.sizes
+    covariance = first.covariance + second.covariance + SIZES_ERR_M**2 * np.eye(len(difference))
+    return float(difference @ np.linalg.solve(covariance, difference))
 
 
 def _reason_of_all(reasons: Mapping[int, str]) -> str:

@@ -39,7 +39,6 @@ PATIENT_S, LEAST_SHARE, BELOW_BEST = 0.2, 0.6, 0.02
 LEAST_CHANGE_M, PAUSE_S = 0.004, 0.2
 LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
 AT_REST = np.zeros(BEND_NUMBERS)
-STIFF = 1e-3  # over how far a trunk bends, and rad of hands and feet: what does not
 GIVEN_SD_M = 0.001  # sizes that were given are kept
 
 
@@ -47,7 +46,6 @@ GIVEN_SD_M = 0.001  # sizes that were given are kept
 class RefinementSettings:
     """Sizes and build of a body that was measured or guessed, from the contour rays of the poses that follow.
 
-    build_sd : how people differ in build, over the spread of the table of builds; small: all have the average build.
     turn : rad, a pose is different when some joint turned by this much against every kept one. explained : share of the
     rays that the surface must explain for a pose to count; less while no pose reaches it. surface_sd_m : distance of a
     body's surface from the capsules, where they fit well; independent_rays : what all rays of a pose count as.
@@ -56,7 +54,6 @@ class RefinementSettings:
     """
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
-    build_sd: float = 1.0
     turn: float = TURN
     explained: float = EXPLAINED
     surface_sd_m: float = SURFACE_SD_M
@@ -81,17 +78,13 @@ class BodyRefiner:
         estimate: BodyEstimate,
         settings: RefinementSettings,
         given: Body | None = None,
-        bend: float = 1.0,
-        turn_sd: float = TURN_SD,
         build: np.ndarray | None = None,
     ) -> None:
         """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt.
-        ``bend`` : how far its trunk bends, over what is usual. ``turn_sd`` : of hands and feet, rad. ``build``
-        (BUILD_NUMBERS,) : to begin with, of a body that is not near the average."""
+        ``build`` (BUILD_NUMBERS,) : to begin with, of a body that is not near the average."""
         self._sizes_from = given
-        self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
-        bends, turns = (max(bend, STIFF) * REST_SD) ** -2, np.full(COUNT * ANGLES, max(turn_sd, STIFF) ** -2)
-        self._pose_prior = np.concatenate([PRIOR, bends, turns])
+        self._prior, self._settings = ShapePrior.of(estimate), settings
+        self._pose_prior = np.concatenate([PRIOR, REST_SD**-2, np.full(COUNT * ANGLES, TURN_SD**-2)])
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
         self._model, self._values = ShapeArrays.of(self._prior.mean), self._prior.mean.copy()

@@ -123,9 +123,9 @@ class ShapePrior:
     covariance: np.ndarray
 
     @classmethod
-    def of(cls, estimate: BodyEstimate, build_sd: float) -> ShapePrior:
-        """Sizes as the T-pose showed them, build as people have it."""
-        covariance = np.diag(np.full(UNKNOWNS, build_sd**2))
+    def of(cls, estimate: BodyEstimate) -> ShapePrior:
+        """Sizes as they are known, build as people have it."""
+        covariance = np.diag(np.ones(UNKNOWNS))
         covariance[SIZE, SIZE] = estimate.covariance
         return cls(np.concatenate([estimate.sizes, np.zeros(BUILD_NUMBERS)]), covariance)
 

@@ -40,7 +40,7 @@ class TrunkBend:
 
     def of(self, body: Body) -> Body:
         """Return a body as its trunk is bent now."""
-        if self._settings.contour.bend == 0.0 or not self._bend.any():
+        if not self._bend.any():
             return body
         if self._bent is None or self._bent.unbent is not body:
             self._bent = body.bent(self._bend)
@@ -48,14 +48,14 @@ class TrunkBend:
 
     def look(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
         """Move the bend to where the rays of a fitted set want it, by what they are matched to in the pose."""
-        scale, since_ns, self._stamp_ns = self._settings.contour.bend, self._stamp_ns, stamp_ns
-        if scale == 0.0 or len(rays.information) == 0 or since_ns < 0:
+        since_ns, self._stamp_ns = self._stamp_ns, stamp_ns
+        if self._settings.contour.rigid or len(rays.information) == 0 or since_ns < 0:
             return
         passed_s = min((stamp_ns - since_ns) * NS, LONGEST_S)
-        rest = RAYS_OF_A_DATUM / (scale * REST_SD) ** 2
-        walk = RAYS_OF_A_DATUM / (scale * RATE_SD) ** 2 / max(passed_s, 1e-3)
+        rest = RAYS_OF_A_DATUM / REST_SD**2
+        walk = RAYS_OF_A_DATUM / RATE_SD**2 / max(passed_s, 1e-3)
         state, figure, derivatives = State(*pose.arrays), Figure.of(self.of(body)), bend_derivatives(body.straight)
         known = (PRIOR, rest + walk, -rest * self._bend)
         step = bend_step(rays, match, state, figure, derivatives, *known)
-        farthest = FARTHEST_SD * scale * REST_SD
+        farthest = FARTHEST_SD * REST_SD
         self._bend, self._bent = np.clip(self._bend + step, -farthest, farthest), None

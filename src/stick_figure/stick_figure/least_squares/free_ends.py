@@ -16,12 +16,11 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from capture_rig.rigid import rotation_exp
 
-from ..body_surface import CAPSULES, END_CAPSULES, END_STICKS
+from ..body_surface import END_CAPSULES, END_STICKS
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
 
 COUNT, ANGLES = 4, 2  # left and right hand, left and right foot; angles of each
 CAPSULE, STICK = np.array(END_CAPSULES), np.array(END_STICKS)
-STIFF = np.setdiff1d(np.arange(CAPSULES), END_CAPSULES)  # the others
 AXES = np.array([[0, 2], [0, 2], [1, 2], [1, 2]])  # of the stick's frame: the hand bends across the forearm, the foot
 # Thresholds: TURN_SD wider than the range of daily movement (Ryu et al. 1991), as forearms turn, too: of 0.35, 0.7
 # and 1 rad the best on 66 people of python models/random_people.py; CORRELATED from the noise model: the rays of a set
@@ -34,12 +33,12 @@ decide: a prior of 0.35 left forearms and calves pulled along (66 people of `mod
 points: 15.9 mm; 0.7: 15.2; 1.0: 15.1)."""
 CORRELATED = 200.0  # rays that count as one independent one: a set's are 1e7 / m^2, and worth six of a centimetre
 LARGEST_TURN = TURN_SD
+STIFF_SD = 1e-6  # rad, of the ends of a body that is the stick figure
 
 
 class FreeEnds(NamedTuple):
     """turns (4, 2) rad, and how they follow from a step of the pose: back (4, 2, 1 + CHAIN_COLUMNS), slots (4,
-    CHAIN_COLUMNS) of the tangent, used (4,) of them. ``information`` : of the turns about straight, 1/rad^2; 0 holds
-    the ends stiff."""
+    CHAIN_COLUMNS) of the tangent, used (4,) of them. ``information`` : of the turns about straight, 1/rad^2."""
 
     turns: np.ndarray
     back: np.ndarray
@@ -56,16 +55,14 @@ def straight_ends(information):
 
 
 @njit(cache=True)
-def turn_ends(ends, placed):
-    """Turn hands and feet of a figure that was placed straight: their capsules, and the hands' tips."""
-    if ends.information == 0.0:
-        return
+def turn_ends(turns, placed):
+    """Turn hands and feet (4, 2) rad of a figure that was placed straight: their capsules, and the hands' tips."""
     pivot, point = np.empty(3), np.empty(3)
     for e in range(COUNT):
         k, j = CAPSULE[e], STICK[e]
-        if ends.turns[e, 0] == 0.0 and ends.turns[e, 1] == 0.0:
+        if turns[e, 0] == 0.0 and turns[e, 1] == 0.0:
             continue
-        R = _turn(e, placed, ends.turns)
+        R = _turn(e, placed, turns)
         _pivot(e, placed, pivot)
         _turn_about(R, pivot, placed.P[k], point)
         _turn_about(R, pivot, placed.Q[k], point)
@@ -103,12 +100,6 @@ def _pivot(e, placed, pivot):
     """pivot (3,) <- the wrist, where the hand's capsule starts, or the ankle."""
     for i in range(3):
         pivot[i] = placed.P[CAPSULE[e], i] if e < 2 else placed.B[STICK[e], i]
-
-
-@njit(cache=True)
-def is_free_end(k, ends):
-    """Return the number of the end that capsule k belongs to; -1 of none, or when ends are stiff."""
-    return end_of_capsule(k) if ends.information > 0.0 else -1
 
 
 @kernel
