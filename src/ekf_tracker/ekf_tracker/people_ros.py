@@ -26,9 +26,9 @@ from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, TANGENT_NAMES
 
+from .motion_model import POSE
 from .rep155 import body_id_of
 from .settings import EkfNodeSettings
-from .state import POSE
 from .state_ros import (
     SkeletonStyle,
     deleted_markers,

@@ -81,7 +81,6 @@ def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatu
     values = {"reason": state.reason, "stamp_ns": str(state.stamp_ns)}
     if isinstance(state, BodyState):
         values["points_used"] = str(int(state.accepted.sum()))
-        values["points_left_out"] = str(int(state.gated.sum()))
         values["normalised_innovation"] = f"{state.normalised_innovation:.3f}"
         values |= dict(zip(PART_NAMES, state.parts, strict=True))
     return DiagnosticStatus(
