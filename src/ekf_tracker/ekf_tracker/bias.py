@@ -54,7 +54,6 @@ from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_columns
 
 from .measurement import Measurement, add_information
 from .settings import MeasurementBiasSettings
-from .state import SMALLEST_VARIANCE
 
 N = 24
 
@@ -120,7 +119,7 @@ def add_measurement_bias(at, pose, lasting, joints, least_information, points, s
                 B[i, j] = lasting[point, i, j]
                 for k in range(3):
                     B[i, j] += frame[i, k] * joints[point, k] * frame[j, k]
-        if B[0, 0] + B[1, 1] + B[2, 2] > SMALLEST_VARIANCE:
+        if B[0, 0] + B[1, 1] + B[2, 2] > 0.0:
             points[point] += B
             inverse3(B, weight)
             add_information(at, point, weight, unused, L, unused)

@@ -25,9 +25,8 @@ from sagoma_ros.process import run_node
 
 from .filter import PeopleFilter, warm_up
 from .humans_ros import BodyFrames, HumansPublisher, Tracked
-from .people_ros import Answer, PeopleTopics, is_tracked
+from .people_ros import LEVELS, Answer, PeopleTopics, is_tracked
 from .settings import LINK_FRAMES, NO_FRAMES, EkfNodeSettings
-from .state_ros import LEVELS
 
 
 class EkfNode(SagomaNode):
@@ -122,8 +121,8 @@ class EkfNode(SagomaNode):
 
     def _publish(self, answers: dict[int, Answer], stamp_ns: int) -> None:
         bodies = self._filters.bodies
-        self._topics.publish_bodies(answers, bodies)
         tracked = {p: (a, bodies[p]) for p, a in answers.items() if isinstance(a, BodyState) and is_tracked(a)}
+        self._topics.publish_bodies(tracked)
         by_id = {self._topics.id_of(p): body for p, body in tracked.items()}
         self._update_bodies(by_id, stamp_ns)
         self._topics.publish_states(answers, stamp_ns)
@@ -155,7 +154,6 @@ class EkfNode(SagomaNode):
 
     def _forget_states(self) -> None:
         self._filters.reset()
-        self._topics.clear()
 
     def _update_bodies(self, tracked: Tracked, stamp_ns: int) -> None:
         for bodies in self._bodies:

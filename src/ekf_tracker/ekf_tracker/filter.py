@@ -61,7 +61,7 @@ class ArticulatedEkf:
         if abs(body.stature - before.stature) > SAME_PERSON_M:
             self.reset()
         elif self._track is not None:
-            self._track.change_body(body)
+            self._track.body = body
 
     @property
     def track(self) -> Track:
@@ -69,11 +69,6 @@ class ArticulatedEkf:
         if self._track is None:
             raise ValueError("no track yet")
         return self._track
-
-    @property
-    def repairs(self) -> int:
-        """How often rounding had to be mended in the covariance of the body that is followed; stays 0."""
-        return 0 if self._track is None else self._track.repairs
 
     def step(
         self,
@@ -109,23 +104,14 @@ class ArticulatedEkf:
         if self._track is not None:
             self._track.predict(stamp_ns)
         self._stamp_ns = stamp_ns
-        return self._update(stamp_ns, z, doubtful, moved)
-
-    def _update(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray, moved: np.ndarray) -> BodyState | NoState:
-        if self._track is None:
-            if not enough_to_start(z):
-                return NoState(stamp_ns, f"waiting for the torso: {z.visible.sum()} of 15 points visible")
-            return self._start(stamp_ns, z, doubtful)
-        lost = self._track.unmeasured_s > self.settings.lost_after_s
-        if lost and enough_to_start(z):
-            return self._start(stamp_ns, z, doubtful)
-        return self._track.update(z, doubtful, moved) or self._start(stamp_ns, z, doubtful)
-
-    def _start(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray) -> BodyState:
-        """Take the state from this measurement alone."""
-        assert self.body is not None
-        self._track = Track(self.body, self.settings, stamp_ns, z)
-        return self._track.state(z, z.visible, NONE, doubtful, np.zeros(15))
+        if self._track is None and not enough_to_start(z):
+            return NoState(stamp_ns, f"waiting for the torso: {z.visible.sum()} of 15 points visible")
+        if self._track is not None:
+            lost = self._track.unmeasured_s > self.settings.lost_after_s and enough_to_start(z)
+            if not lost and (state := self._track.update(z, doubtful, moved)) is not None:
+                return state
+        self._track = Track(self.body, self.settings, stamp_ns, z)  # from this measurement alone
+        return self._track.state(z, doubtful, np.zeros(15))
 
 
 class PeopleFilter:

@@ -1,6 +1,6 @@
 """Prediction and correction of the articulated EKF (thesis Tables 5.5 and 5.7) on the manifold of poses.
 
-The covariance belongs to an error vector of 48 slots (see `state`): 24 of the pose's tangent (`stick_figure.pose`), 24
+The covariance belongs to an error vector of 48 slots: 24 of the pose's tangent (`stick_figure.pose`), 24
 of its velocity. The pose itself stays a set of rotation matrices, so nothing needs normalising and no gimbal locks. The
 kernels take a pose as its state arrays (t0, R0, RJ, hinges) of `stick_figure.kernels`; no fast-math and fixed orders of
 summation, so equal inputs give equal bytes.
@@ -8,12 +8,13 @@ summation, so equal inputs give equal bytes.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from capture_rig.kernel import njit
-from capture_rig.small_matrices import inverse3, inverse_positive
+from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
 from stick_figure import kernels
 from stick_figure.joint_limits import (
     add_joint_limits,
@@ -27,8 +28,8 @@ from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 
 from .bias import add_measurement_bias
 from .measurement import add_information, empty_linearised, linearise, moved, point_covariance
-from .state import N, cap_joints, joseph, negate
 
+N = 24
 # Thresholds: rounding from arithmetic; LINEAR_M judgement.
 LINEAR_M = 1e-3
 """When every point is this close to where the linearisation said, linearising again is not worth it."""
@@ -94,8 +95,8 @@ def predict_estimate(estimate, transition, joint_sd_cap_rad):
 
 
 @njit(cache=True, nogil=True)
-def correct_estimate(sizes, prior, start, z, chosen, options):
-    """Return the estimate after the chosen points (15,) bool of z: iterated EKF update (thesis Table 5.7).
+def correct_estimate(sizes, prior, start, z, options):
+    """Return the estimate after the visible points of z: iterated EKF update (thesis Table 5.7).
 
     Each iteration is one Gauss-Newton step on the sum of the points' and the prior's squared residuals (Bell &
     Cathey 1993). ``start`` : arrays of the pose of the first linearisation. Joint limits move the mean but are left out
@@ -103,7 +104,7 @@ def correct_estimate(sizes, prior, start, z, chosen, options):
     way. ValueError when the prior's covariance is not positive definite.
     """
     (prior_pose, velocity, P), pose = prior, copied(start)
-    L, Y, V, offset = iterate_update(prior_pose, pose, P, sizes, z, chosen, options)
+    L, Y, V, offset = iterate_update(prior_pose, pose, P, sizes, z, options)
     P_vx = np.ascontiguousarray(P[N:, :N])
     moved_velocity = velocity + np.dot(P_vx, np.dot(Y, offset))  # the mean of v given x
     G = np.empty((2 * N, N))
@@ -117,7 +118,7 @@ def correct_estimate(sizes, prior, start, z, chosen, options):
 
 
 @njit(cache=True)
-def iterate_update(prior, pose, P, sizes, z, chosen, options):
+def iterate_update(prior, pose, P, sizes, z, options):
     """Iterates the EKF's update (thesis Table 5.7) to the pose at which its own linearisation holds.
 
     ``pose`` is the first linearisation, and becomes the result. Joint limits that the last step passed are worth one
@@ -130,7 +131,7 @@ def iterate_update(prior, pose, P, sizes, z, chosen, options):
     max_iterations, limit_weight, hinge_margin = options
     t0, R0, RJ, hinges = pose
     t0_prior, R0_prior, RJ_prior, hinges_prior = prior
-    Y, weights = inverse_positive(np.ascontiguousarray(P[:N, :N])), _inverses(z.covariance, chosen)
+    Y, weights = inverse_positive(np.ascontiguousarray(P[:N, :N])), _inverses(z)
     L, A, g, offset = np.empty((N, N)), np.zeros((N, N)), np.zeros(N), np.empty(N)
     at = empty_linearised()
     linearise(pose, sizes, at)
@@ -138,7 +139,7 @@ def iterate_update(prior, pose, P, sizes, z, chosen, options):
     while True:
         iteration += 1
         kernels.difference(t0, R0, RJ, hinges, t0_prior, R0_prior, RJ_prior, hinges_prior, offset)
-        _normal_equations(at, weights, z.points_world, chosen, L, g)
+        _normal_equations(at, weights, z, L, g)
         V = inverse_positive(Y + L)
         g -= np.dot(Y, offset)
         step = np.dot(V, g)
@@ -150,7 +151,7 @@ def iterate_update(prior, pose, P, sizes, z, chosen, options):
         offset += step
         t0[:], R0[:], RJ[:], hinges[:] = t0_prior, R0_prior, RJ_prior, hinges_prior
         kernels.retract(t0, R0, RJ, hinges, offset, 1.0)
-        linearisation_error = _linearise_and_compare(pose, sizes, chosen, step, at)
+        linearisation_error = _linearise_and_compare(pose, sizes, z.visible, step, at)
         now_violated = add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
         limits_hold = limit_weight == 0.0 or now_violated <= violated
         if iteration > max_iterations or (
@@ -161,39 +162,39 @@ def iterate_update(prior, pose, P, sizes, z, chosen, options):
 
 
 @njit(cache=True)
-def _normal_equations(at, weights, z, chosen, L, g):
-    """L (24, 24) <- H' R^-1 H and g (24,) <- H' R^-1 (z - h) of the chosen points."""
+def _normal_equations(at, weights, z, L, g):
+    """L (24, 24) <- H' R^-1 H and g (24,) <- H' R^-1 (z - h) of the visible points."""
     L[:] = 0.0
     g[:] = 0.0
     for point in range(15):
-        if chosen[point]:
-            add_information(at, point, weights[point], z[point] - at.h[point], L, g)
+        if z.visible[point]:
+            add_information(at, point, weights[point], z.points_world[point] - at.h[point], L, g)
     for i in range(N):
         for j in range(i):
             L[i, j] = L[j, i]
 
 
 @njit(cache=True)
-def _linearise_and_compare(pose, sizes, chosen, step, at):
-    """at <- linearisation at the pose; returns how far (m, any axis) the chosen points are from where it had them."""
+def _linearise_and_compare(pose, sizes, visible, step, at):
+    """at <- linearisation at the pose; returns how far (m, any axis) the visible points are from where it had them."""
     expected = np.empty((15, 3))
     for point in range(15):
         expected[point, 0], expected[point, 1], expected[point, 2] = moved(at, point, step)
     linearise(pose, sizes, at)
     linearisation_error = 0.0
     for point in range(15):
-        if chosen[point]:
+        if visible[point]:
             for i in range(3):
                 linearisation_error = max(linearisation_error, abs(expected[point, i] - at.h[point, i]))
     return linearisation_error
 
 
 @njit(cache=True)
-def _inverses(R, chosen):
-    inverses = np.empty_like(R)
+def _inverses(z):
+    inverses = np.empty_like(z.covariance)
     for point in range(15):
-        if chosen[point]:
-            inverse3(R[point], inverses[point])
+        if z.visible[point]:
+            inverse3(z.covariance[point], inverses[point])
     return inverses
 
 
@@ -212,6 +213,43 @@ def _canonicalise_hinges(pose, velocity, P, margin, only_if_better):
         RJ[1 + h], hinges[h], velocity[slot] = RJ_turned[1 + h], hinges_turned[h], velocity_turned[slot]
         negate(P, slot)
         negate(P, N + slot)
+
+
+@njit(cache=True)
+def joseph(P, G, L):
+    """(I - K H) P (I - K H)' + K R K' for the gain K = G H' R^-1, with L = H' R^-1 H (24, 24) on the pose, P (48, 48).
+
+    Joseph's form, because a sum of two squares stays symmetric and positive whatever the rounding of K;
+    the thesis's (I - K H) P (Table 5.7) is right only for the exact gain and loses both over a few thousand sets.
+    Here K H = [G L, 0] and K R K' = G L G'.
+    """
+    KH = np.dot(G, L)
+    T = P - np.dot(KH, P[:N])  # (I - K H) P
+    out = np.dot(G - T[:, :N], KH.T)
+    out += T
+    symmetrise(out)
+    return out
+
+
+@njit(cache=True)
+def cap_joints(P, sd_cap):
+    """Shrinks P (48, 48), in place, until no joint's pose has an sd above ``sd_cap`` (rad) in any slot.
+
+    The twist of a straight limb is not observable, and without a bound its variance grows until the linearisation
+    means nothing. Rows and columns are scaled alike (a congruence), so P stays positive definite.
+    """
+    for slot in range(6, N):
+        if P[slot, slot] > sd_cap * sd_cap:
+            shrink = sd_cap / math.sqrt(P[slot, slot])
+            P[slot, :] *= shrink
+            P[:, slot] *= shrink
+
+
+@njit(cache=True)
+def negate(P, slot):
+    """Change the sign of one slot of the state, in place."""
+    P[slot, :] *= -1.0
+    P[:, slot] *= -1.0
 
 
 @njit(cache=True)

@@ -12,9 +12,8 @@ becomes ``f_velocity v``. Turning of the error's own axes during one step is neg
 A limb at rest is tracked best with little process noise; one that strikes needs a hundred times as much for a few sets.
 Which it is, its own measured points tell: while the model holds, the squared Mahalanobis distance of a point's
 innovation is chi-square with 3 degrees of freedom. Where it is larger, the process noise of that limb over the last
-prediction is raised until it is not (adjustable process noise: Bar-Shalom, Li & Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 11.2.2), up to what muscles do. What lies beyond even that is no motion, and is
-left to the gate.
+prediction is raised to what muscles do (adjustable process noise: Bar-Shalom, Li & Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 11.2.2). What lies beyond even that is no motion: the limb was elsewhere.
 """
 
 from __future__ import annotations
@@ -26,24 +25,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .state import per_slot
+from stick_figure.kernels import HINGE_SLOT
 
-# Thresholds: EXPECTED from the chi-square distribution; the others from speeds and accelerations of punches and
-# kicks.
+POSE, VELOCITY = slice(0, 24), slice(24, 48)
+DIMENSION = 48
+# Thresholds: EXPECTED from the chi-square distribution; MANOEUVRE from accelerations of punches and kicks.
 EXPECTED = 14.2
 """Squared distance of an innovation that a process noise explains: chi-square of 3 degrees, 99.7 %, for each limb has
 up to six points and each set is a new chance of a false alarm."""
-LEVELS = (4.0, 16.0, 64.0)
-"""Times the variance of the quiet process noise. The last is eight times its accelerations, 480 to 640 rad/s^2 of the
-joints: elbows of punches and knees of kicks reach 20 to 30 rad/s within 0.1 s."""
-MOST_M_S = 20.0
-"""By how much a point's speed may leave the predicted one: twice what fists of boxers reach. What that explains is
-motion, whatever a covariance says that is linear in angles which have turned far."""
+MANOEUVRE = 64.0
+"""Times the variance of the quiet process noise: eight times its accelerations, 480 to 640 rad/s^2 of the joints.
+Elbows of punches and knees of kicks reach 20 to 30 rad/s within 0.1 s."""
 TRUNK, HEAD, ARMS, LEGS = 0, 1, (2, 3), (4, 5)
-LIMBS = 6
 _LIMB_OF_POINT = np.array([TRUNK, HEAD, *(TRUNK,) * 5, *ARMS, *LEGS, *ARMS, *LEGS])
-_POINTS_OF_LIMB = tuple(np.flatnonzero(limb == _LIMB_OF_POINT) for limb in range(LIMBS))
-LIMB_OF_SLOT = np.array([*(TRUNK,) * 6, HEAD, HEAD, *ARMS * 4, *LEGS * 4])
+_LIMB_OF_SLOT = np.array([*(TRUNK,) * 6, HEAD, HEAD, *ARMS * 4, *LEGS * 4])
+
+
+def per_slot(torso_position: float, torso_rotation: float, ball_joints: float, hinges: float) -> np.ndarray:
+    """Return (24,) one number for every tangent slot, by the kind of its joint."""
+    values = np.full(24, ball_joints)
+    values[0:3] = torso_position
+    values[3:6] = torso_rotation
+    values[HINGE_SLOT] = hinges
+    return values
 
 
 class Transition(NamedTuple):
@@ -174,17 +178,20 @@ def _frozen(**diagonals: np.ndarray) -> Transition:
     return Transition(**diagonals)
 
 
-def raised_covariance(P: np.ndarray, transition: Transition, factors: np.ndarray) -> np.ndarray:
-    """Return P (48, 48) as if the process noise of the last transition had been ``factors`` (6,) times as large."""
-    more, slots = factors[LIMB_OF_SLOT] - 1.0, np.arange(24)
-    P = P.copy()
-    P[slots, slots] += more * transition.q_pose
-    P[slots, 24 + slots] += more * transition.q_cross
-    P[24 + slots, slots] += more * transition.q_cross
-    P[24 + slots, 24 + slots] += more * transition.q_velocity
+def limbs_beyond_noise(distances: np.ndarray) -> np.ndarray:
+    """Return the slots (24,) bool of the limbs that a point's squared distance (15,) says to accelerate."""
+    return np.isin(_LIMB_OF_SLOT, _LIMB_OF_POINT[distances > EXPECTED])
+
+
+def raised_covariance(P: np.ndarray, transition: Transition, slots: np.ndarray) -> np.ndarray:
+    """Return P (48, 48) as if the process noise of the last transition had been that of a manoeuvre in the slots (24,)
+    bool."""
+    pose, P = np.flatnonzero(slots), P.copy()
+    for rows, columns, q in (
+        (pose, pose, transition.q_pose),
+        (pose, 24 + pose, transition.q_cross),
+        (24 + pose, pose, transition.q_cross),
+        (24 + pose, 24 + pose, transition.q_velocity),
+    ):
+        P[rows, columns] += (MANOEUVRE - 1.0) * q[pose]
     return P
-
-
-def worst_of_limbs(distances: np.ndarray) -> np.ndarray:
-    """Return (6,) the largest of each limb's squared distances (15,)."""
-    return np.array([distances[own].max() for own in _POINTS_OF_LIMB])

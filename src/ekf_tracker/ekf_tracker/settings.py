@@ -60,7 +60,6 @@ class EkfNodeSettings:
 
     frame_id: str = setting("map", "frame of the points that come in and of all that goes out", is_name=True)
     skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
-    skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
     publish_tf: str = setting(
         "links",
         "frames on /tf, where tf2_msgs is installed; torso: leaves the links to a robot_state_publisher",

@@ -29,11 +29,13 @@ from stick_figure.pose import Pose
 from .filter import ArticulatedEkf
 from .kernels import Estimate, report
 from .measurement import Sizes
+from .motion_model import POSE, VELOCITY
 from .settings import EkfSettings
-from .state import POSE, VELOCITY, positive_definite
 from .track import JOINT_SD_CAP_RAD, Track
 
 # Thresholds: judgement, no measurement.
+SMALLEST_VARIANCE = 1e-12
+"""What is below this (1 micrometre, 1 microradian) is rounding, not knowledge."""
 REACH_S = 0.5
 """How far a smoothed point's evidence may lie: the filter forgets a velocity after 0.1 s, a pose a few times later."""
 
@@ -104,6 +106,13 @@ def _backwards(run: Sequence[_Filtered]) -> list[Estimate]:
         pose = x.pose.retract(step[POSE])
         smoothed.append(Estimate(pose.arrays, x.velocity + step[VELOCITY], P))
     return smoothed[::-1]
+
+
+def positive_definite(P: np.ndarray) -> np.ndarray:
+    """P (n, n) made symmetric, with its eigenvalues raised where rounding spoilt them."""
+    eigenvalues, vectors = np.linalg.eigh(P)
+    mended = (vectors * np.maximum(eigenvalues, SMALLEST_VARIANCE)) @ vectors.T
+    return 0.5 * (mended + mended.T)
 
 
 def _states(run: Sequence[_Filtered], smoothed: Sequence[Estimate]) -> list[BodyState | NoState]:

@@ -65,7 +65,7 @@ class BodyState:
     angles, rates : (18,) rad and rad/s in the order of `stick_figure.skeleton.ANGLE_NAMES`, continuous with the
         previous set's; the rates are damped near gimbal lock
     points_world, point_covariance : (15, 3) m and (15, 3, 3) m^2, the filtered reference points
-    accepted, gated : (15,) bool, measured points that were used, and that were left out as outliers
+    accepted : (15,) bool, measured points, which were used
     distances : (15,) squared Mahalanobis distance of each measured point from its prediction, 0 where not visible
     doubtful : (15,) bool, points of a part of the body that may be elsewhere
     tracking, reason : how far to trust the whole, and why
@@ -82,7 +82,6 @@ class BodyState:
     points_world: np.ndarray
     point_covariance: np.ndarray
     accepted: np.ndarray
-    gated: np.ndarray
     distances: np.ndarray
     doubtful: np.ndarray
     tracking: Tracking

@@ -16,7 +16,6 @@ from mocap_packets import silhouette
 from mocap_packets.silhouette import ForegroundSupport
 
 from . import mask_png
-from .limits import check_pixels, compressed_size
 from .messages import to_ns, to_stamp
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
@@ -34,15 +33,14 @@ ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "rgba8": (4, "u1", cv2.COLOR_RGBA2BGR),
     "yuv422": (2, "u1", cv2.COLOR_YUV2BGR_UYVY),
     "yuv422_yuy2": (2, "u1", cv2.COLOR_YUV2BGR_YUYV),
-    "bayer_rggb8": (1, "u1", cv2.COLOR_BayerBG2BGR),  # OpenCV names the second row's pattern
-    "bayer_bggr8": (1, "u1", cv2.COLOR_BayerRG2BGR),
-    "bayer_gbrg8": (1, "u1", cv2.COLOR_BayerGR2BGR),
-    "bayer_grbg8": (1, "u1", cv2.COLOR_BayerGB2BGR),
-    "bayer_rggb16": (1, "u2", cv2.COLOR_BayerBG2BGR),
-    "bayer_bggr16": (1, "u2", cv2.COLOR_BayerRG2BGR),
-    "bayer_gbrg16": (1, "u2", cv2.COLOR_BayerGR2BGR),
-    "bayer_grbg16": (1, "u2", cv2.COLOR_BayerGB2BGR),
 }
+_BAYER = {  # OpenCV names the second row's pattern
+    "rggb": cv2.COLOR_BayerBG2BGR,
+    "bggr": cv2.COLOR_BayerRG2BGR,
+    "gbrg": cv2.COLOR_BayerGR2BGR,
+    "grbg": cv2.COLOR_BayerGB2BGR,
+}
+ENCODINGS |= {f"bayer_{name}{8 * n}": (1, f"u{n}", code) for n in (1, 2) for name, code in _BAYER.items()}
 
 
 ABSENT = "none"  # the format of a message that says that there is no silhouette of this instant
@@ -164,10 +162,10 @@ def decode_image(message: Image | CompressedImage, where: str, bits: int | None 
 
 
 def _decode_compressed(message: CompressedImage, where: str) -> np.ndarray:
-    size = compressed_size(bytes(message.data))
-    if size is not None:
-        check_pixels(*size, where)
-    image = None if size is None else cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_ANYCOLOR)
+    try:
+        image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_ANYCOLOR)
+    except cv2.error:  # empty, or larger than OpenCV takes
+        image = None
     if image is None:
         remedy = "Publish JPEG or PNG."
         raise InputError(f"the image (format '{message.format}') cannot be decoded", where=where, remedy=remedy)

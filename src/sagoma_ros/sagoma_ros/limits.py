@@ -19,7 +19,6 @@ MOST_CLOUD_BYTES = 8 << 20  # a hull of 5 mm voxels on five cameras sends less t
 MOST_TEXT_BYTES = 1 << 20  # the bodies of 250 persons have a quarter of it
 MOST_JOINTS = 10_000  # 250 persons have 24 numbers each
 MOST_MASK_BYTES = 4 << 20  # a mask of noise of 20 megapixels at one bit a pixel; those of people have 2 to 6 KB
-MOST_PIXELS = 1 << 27  # 134 megapixels: more than any machine-vision sensor
 AFTER_STAMP = 4 + 8  # bytes: what leads in, and the stamp of a header (CDR: OMG DDS-XTypes 1.3, 7.4.3)
 _COUNTED = {"position": MOST_JOINTS, "name": MOST_JOINTS, "joint_names": MOST_JOINTS, "transforms": MOST_JOINTS}
 
@@ -42,33 +41,6 @@ def check_mask_bytes(count: int, where: str) -> None:
     if count > MOST_MASK_BYTES:
         what = f"a message of {count} bytes, at most {MOST_MASK_BYTES} are taken"
         raise InputError(what, where=where, remedy="Check what publishes there.")
-
-
-def check_pixels(width: int, height: int, where: str) -> None:
-    """Raises InputError for an image of more pixels than any camera has, before it is decoded."""
-    if width * height > MOST_PIXELS:
-        what = f"claims {width} x {height} pixels, more than any camera has"
-        raise InputError(what, where=where, remedy="The message is damaged or hostile; check its publisher.")
-
-
-def compressed_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height that the header of a PNG or JPEG file claims; None when it is neither.
-
-    PNG: the chunk IHDR comes first (ISO/IEC 15948, 5.6). JPEG: the first frame header (ISO/IEC 10918-1, B.2.2).
-    """
-    if data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR" and len(data) >= 24:
-        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if data[:2] != b"\xff\xd8":
-        return None
-    place = 2
-    while place + 9 <= len(data) and data[place] == 0xFF:
-        kind = data[place + 1]
-        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            return int.from_bytes(data[place + 7 : place + 9], "big"), int.from_bytes(
-                data[place + 5 : place + 7], "big"
-            )
-        place += 1 if kind == 0xFF else 2 + int.from_bytes(data[place + 2 : place + 4], "big")
-    return None
 
 
 def read_message(message: bytes, kind: type[T]) -> T:

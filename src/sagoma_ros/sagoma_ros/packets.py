@@ -162,16 +162,14 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
 
     Raises InputError when a field is missing, the size does not fit, or a number is not finite.
     """
-    fields = {field.name: field for field in cloud.fields}
-    wanted = [name for name in layout.names or () if name in fields or name not in DEFAULTS]
-    missing = [name for name in wanted if name not in fields]
+    wire, names, there = _wire(cloud, where), layout.names or (), [field.name for field in cloud.fields]
+    missing = [name for name in names if name not in DEFAULTS and name not in there]
     if missing:
-        what = f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})"
-        raise InputError(what, where=where, remedy=f"Publish the fields {', '.join(layout.names or ())}.")
-    wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, [fields[name] for name in wanted], where))
+        what = f"the cloud has no field '{missing[0]}' (it has: {', '.join(there)})"
+        raise InputError(what, where=where, remedy=f"Publish the fields {', '.join(names)}.")
     points = np.empty(len(wire), layout)
-    for name in layout.names or ():
-        points[name] = wire[name] if name in fields else DEFAULTS[name]
+    for name in names:
+        points[name] = wire[name][:, 0] if name in there else DEFAULTS[name]
     if not np.isfinite(points.view(np.float64)).all():
         remedy = "Drop such points before publishing."
         raise InputError("the cloud holds numbers that are not finite", where=where, remedy=remedy)
@@ -183,48 +181,31 @@ def vectors_of_cloud(cloud: PointCloud2, size: int, where: str) -> tuple[list[st
 
     Raises InputError when a field has another size, or none is there.
     """
-    names = [field.name for field in cloud.fields]
-    if not names or len(set(names)) < len(names) or any(field.count != size for field in cloud.fields):
+    wire, names = _wire(cloud, where), [field.name for field in cloud.fields]
+    if not names or any(field.count != size for field in cloud.fields):
         what, remedy = f"the cloud has not fields of {size} numbers each", "Give each field its name and count."
         raise InputError(what, where=where, remedy=remedy)
-    wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, list(cloud.fields), where, size))
-    return names, np.stack([wire[name].reshape(-1, size).astype(np.float64) for name in names], axis=1)
+    return names, np.stack([wire[name].astype(np.float64) for name in names], axis=1)
 
 
-def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str, size: int = 1) -> np.dtype:
-    """Return the dtype of the given fields, of ``size`` numbers each, as they lie in the message."""
-    order = ">" if cloud.is_bigendian else "<"
-    formats = [order + _NUMPY_TYPES.get(field.datatype, "") for field in fields]
-    for field, format in zip(fields, formats, strict=True):
-        if format == order or field.offset + size * np.dtype(format).itemsize > cloud.point_step:
-            raise InputError(
-                f"field '{field.name}' (datatype {field.datatype}, offset {field.offset}) does not fit points of "
-                f"{cloud.point_step} bytes",
-                where=where,
-                remedy="The message is damaged; check its publisher.",
-            )
-    return np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": [(format, (size,)) if size > 1 else format for format in formats],
-            "offsets": [field.offset for field in fields],
-            "itemsize": cloud.point_step,
-        }
-    )
-
-
-def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
-    """Return the points' bytes, without the padding that an organised cloud may have at the end of each row."""
-    used = cloud.width * cloud.point_step
-    row = cloud.row_step if cloud.height > 1 else used
-    if row < used or len(cloud.data) != cloud.height * row:
-        raise InputError(
-            f"the cloud says {cloud.height} x {cloud.width} points of {cloud.point_step} bytes "
-            f"but carries {len(cloud.data)} bytes",
-            where=where,
-            remedy="The message is damaged; check its publisher.",
+def _wire(cloud: PointCloud2, where: str) -> np.ndarray:
+    """Return the points (n,) as they lie in the message, each field as (n, count), without the padding that an
+    organised cloud may have at the end of each row."""
+    order, step = ">" if cloud.is_bigendian else "<", cloud.point_step
+    try:
+        layout = np.dtype(
+            {
+                "names": [field.name for field in cloud.fields],
+                "formats": [(order + _NUMPY_TYPES[field.datatype], (max(field.count, 1),)) for field in cloud.fields],
+                "offsets": [field.offset for field in cloud.fields],
+                "itemsize": step,
+            }
         )
-    return np.ascontiguousarray(np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, row)[:, :used])
+        shape, row = (cloud.height, cloud.width), max(cloud.row_step, cloud.width * step)
+        return np.ndarray(shape, layout, cloud.data, strides=(row, step)).reshape(-1)
+    except (ValueError, KeyError, TypeError) as error:  # of numpy: fields overlap the step, or there are fewer bytes
+        what = f"the cloud's fields, sizes and {len(cloud.data)} bytes do not fit each other ({error})"
+        raise InputError(what, where=where, remedy="The message is damaged; check its publisher.") from None
 
 
 def packet_cloud(packet: Table, stamp_ns: int, frame_id: str) -> PointCloud2:

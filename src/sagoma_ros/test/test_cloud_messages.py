@@ -123,10 +123,10 @@ def spoilt(fields: str = "xyzsb", z: dict[str, int] | None = None, **changes: ob
     [
         (PointCloud2(), "no field 'x'"),
         (spoilt(fields="xyzb"), "no field 'surface' (it has: x, y, z, body)"),
-        (spoilt(data=spoilt().data[:-1]), "1 x 3 points of 20 bytes but carries 59 bytes"),
-        (spoilt(height=3, width=2, row_step=20), "3 x 2 points"),
-        (spoilt(z={"offset": 18}), "field 'z'"),
-        (spoilt(z={"datatype": 9}), "field 'z' (datatype 9"),
+        (spoilt(data=spoilt().data[:-1]), "59 bytes do not fit"),
+        (spoilt(height=3, width=2, row_step=20), "60 bytes do not fit"),
+        (spoilt(z={"offset": 18}), "do not fit"),
+        (spoilt(z={"datatype": 9}), "do not fit"),
         (to_cloud(random_points(VOXELS, 4, y=np.inf), STAMP, "map"), "not finite"),
     ],
 )

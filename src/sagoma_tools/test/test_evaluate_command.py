@@ -14,7 +14,7 @@ from take_bags import PERIOD_NS, write_take
 
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
-from ekf_tracker.state_ros import state_message
+from ekf_tracker.people_ros import state_message
 from icp_tracker.extrinsic_monitor import ExtrinsicErrors
 from icp_tracker.people.people_tracker import PeopleTracker
 from mocap_packets.fit import DOUBTFUL, PART_NAMES

@@ -12,10 +12,10 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
+from ekf_tracker.motion_model import POSE
+from ekf_tracker.people_ros import rotations_message, torso_message
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, check_stamps, smooth
-from ekf_tracker.state import POSE
-from ekf_tracker.state_ros import rotations_message, torso_message
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
 from mocap_packets.people import parse_bodies
 from mocap_packets.state import BodyState
