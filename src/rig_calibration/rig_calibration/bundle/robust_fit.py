@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.lens import Array, is_fisheye
+from capture_rig.lens import is_fisheye
 from capture_rig.rigid import inverse
 
 from ..boards.board import TargetDetection
@@ -36,7 +36,7 @@ from .adjustment import (
 )
 from .initial_poses import InitialPoses, most_seen
 from .problem import LINE, Problem, View
-from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
+from .state import WARP, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import Covariance, covariance, displacement_of, whitened
 
 ROUNDS = 20
@@ -44,7 +44,6 @@ DISPLACEMENT_ROUNDS = 8
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
-FAR_OFF = "these corners of it contradict the others"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
 SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
@@ -55,16 +54,10 @@ HARMLESS_PX = 0.3  # lenses that are not quite right and delays may do so much
 
 @dataclass(frozen=True, eq=False)
 class RejectedDetection:
-    """A detection that took no part, or the ``corners`` (ids) of it that took none, and why."""
+    """A detection that took no part, and why."""
 
     detection: TargetDetection
     reason: str
-    corners: tuple[int, ...] = ()
-
-    @property
-    def whole(self) -> bool:
-        """Whether the whole detection was left out."""
-        return not self.corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +92,7 @@ class Fit:
     @property
     def reasons(self) -> dict[str, str]:
         """The commonest reason, by camera, why detections of it were left out."""
-        counts = Counter((out.detection.camera, out.reason) for out in self.left_out if out.whole)
+        counts = Counter((out.detection.camera, out.reason) for out in self.left_out)
         return {camera: reason for (camera, reason), _ in reversed(counts.most_common())}
 
     @property
@@ -157,10 +150,11 @@ def without_contradictions(fit: Fit) -> Fit:
     stop = ROUGHLY
     for _ in range(ROUNDS):
         fit = adjusted(fit, stop)
-        misfits = _misfits(fit)
-        wrong, out = _bad_corners(fit, misfits), _contradictions(fit, misfits)
-        if out or wrong.any():
-            fit = _leave_out(fit, wrong, out)
+        out = _contradictions(fit)
+        if out:
+            left_out = [RejectedDetection(fit.detections[row], reason) for row, reason in out]
+            rows = np.delete(fit.rows, [row for row, _ in out])
+            fit = replace(fit, rows=rows, left_out=(*fit.left_out, *left_out))
         elif stop is CONVERGED:
             return fit
         else:
@@ -191,22 +185,12 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
     )
 
 
-def _misfits(fit: Fit) -> Array:
-    """Compute (s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
-    lengths = normalised_lengths(fit.state, fit.used) / fit.scale
-    return np.nanmedian(np.where(fit.used.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
-
-
-def _bad_corners(fit: Fit, misfits: Array) -> Bools:
-    """Mark (s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
-    lengths, misfit = normalised_lengths(fit.state, fit.used), misfits[:, None]
-    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * fit.used.weight)
-    return off & (misfit < CLEAR_SDS)
-
-
-def _contradictions(fit: Fit, misfit: Array) -> list[tuple[int, str]]:
+def _contradictions(fit: Fit) -> list[tuple[int, str]]:
     """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
     seen = fit.used
+    # the median residual of each over what is to be expected: about 1 when all is well
+    lengths = np.where(seen.weight > 0, normalised_lengths(fit.state, seen) / fit.scale, np.nan)
+    misfit = np.nanmedian(lengths, axis=1) / RAYLEIGH_MEDIAN
     sigma_px = fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
     # lesser ones may only follow from the worst
     limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
@@ -218,18 +202,6 @@ def _contradictions(fit: Fit, misfit: Array) -> list[tuple[int, str]]:
         else:
             found += [(int(row), PAIR if len(rows) == 2 else SINGLE) for row in rows]
     return sorted(found)
-
-
-def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
-    weight = fit.seen.weight.copy()
-    weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
-    detections = fit.detections
-    named = [RejectedDetection(detections[row], reason) for row, reason in out]
-    for row in np.flatnonzero(wrong.any(axis=1)):
-        corners = detections[row].ids[np.flatnonzero(wrong[row])]
-        named.append(RejectedDetection(detections[row], FAR_OFF, tuple(corners.tolist())))
-    rows = np.delete(fit.rows, [row for row, _ in out])
-    return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
 
 
 # --- Detections that are believed less than their corners claim.

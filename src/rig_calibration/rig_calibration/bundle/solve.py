@@ -183,7 +183,7 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         covariance={name: found.of_shared[layout.camera(row), layout.camera(row)] for row, name in enumerate(names)},
         inflation=found.inflation,
         sync_error_m=fit.displacement_m,
-        left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
+        left_out=tuple(sorted(fit.left_out, key=_place)),
         undecided=_undecided(fit),
         scale_of={
             name: (float(state.scale[row]), float(np.sqrt(found.of_shared[scale, scale])))
