@@ -77,8 +77,8 @@ def test_errors_lie_where_the_standard_deviations_say(kind):
         assert kind == "white" or result.sd_enlarged_by > 1.15
         off.append(errors_in_sds(result, camera))
     spread = np.sqrt(np.mean(np.square(off), axis=0))
-    # what views share enlarges all deviations: those of coefficients that it touches less are then too large
-    lowest, highest = (0.65, 1.35) if kind == "white" else (0.45, 1.4)
+    # what views share enlarges all deviations alike: those of coefficients that it touches less are then too large
+    lowest, highest = (0.65, 1.35) if kind == "white" else (0.45, 1.5)
     assert spread.min() > lowest and spread.max() < highest, spread
     assert np.abs(off).max() < 4.0
 

@@ -21,6 +21,7 @@ from ..bundle.initial_poses import initial_poses
 from ..bundle.problem import check_problem, shapes_of, views_of
 from ..bundle.robust_fit import Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
+from ..bundle.uncertainty import covariance
 from .lens_model import FISHEYE, MODELS, SIMPLE, LensModel, edge_sd_px
 from .result import UNUSED_GOOD, Intrinsics, ViewResult
 
@@ -138,11 +139,12 @@ def _camera_of(fit: Fit) -> CameraModel:
 
 
 def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
-    found, used, state = fit.covariance(fit.free), fit.used, fit.state
+    found, used, state = covariance(fit, fit.free), fit.used, fit.state
     sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
     columns, count = model.columns, len(model.names)
-    covariance = found.of_shared[columns[:, None], columns]
-    sd = np.sqrt(np.diag(covariance)).tolist()
+    of_lens_and_board = found.of_shared[columns[:, None], columns]
+    of_lens = of_lens_and_board[:count, :count]
+    sd = np.sqrt(np.diag(of_lens_and_board)).tolist()
     views, middle = [], board.corners_board.mean(axis=0)
     for detection, residuals, row in zip(fit.detections, residuals_px(state, used), used.pose, strict=True):
         R = state.R_pose[row]
@@ -153,14 +155,14 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
         camera=camera,
         sigma_px=sigma_px,
         sd=dict(zip(model.names, sd[:count], strict=True)),
-        covariance=covariance[:count, :count],
+        covariance=of_lens,
         sd_enlarged_by=float(np.sqrt(found.inflation)),
         board_diagonal_m=diagonal_m(board),
         warp_m=tuple(state.board_warp[0].tolist()),
         warp_sd_m=tuple(sd[count:]),
         views=tuple(views),
         left_out=tuple(sorted(fit.left_out, key=lambda out: out.detection.frame_index)),
-        edge_sd_px=edge_sd_px(camera, covariance[:count, :count]),
+        edge_sd_px=edge_sd_px(camera, of_lens),
     )
 
 
