@@ -1,8 +1,4 @@
-"""The one reader and writer of YAML: a mapping a file, within limits, no key twice; files appear whole or not at all.
-
-What a file can do to the program is bounded before it is built: its size, how deep it nests, how many values it holds
-once aliases are followed (an alias of an alias of ... grows exponentially), and how long its numbers are.
-"""
+"""The one reader and writer of YAML: a mapping a file, limited, no key twice; files appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,9 +12,8 @@ from .errors import InputError, shortened
 from .files import read_text, write_text
 
 MOST_YAML_BYTES = 4 << 20  # the largest that the programs write, the report of a rig of 32 cameras, has some 200 KB
-MOST_DEPTH = 40  # the deepest that the programs write has 7
 MOST_VALUES = 100_000  # read in some five seconds; the report of a large rig has a tenth of them
-_LARGEST_WHOLE = 2**64 - 1  # stamps and seeds; what is longer is none of ours, and converting it may take for ever
+_LARGEST_WHOLE = 2**64 - 1  # stamps and seeds
 
 
 def read_mapping(path: Path, remedy: str) -> Mapping[str, Any]:
@@ -48,8 +43,8 @@ def parse_value(text: str, where: str, remedy: str) -> Any:
             loader.dispose()
     except yaml.YAMLError as error:
         raise InputError(f"is not valid YAML ({_problem(error)})", where=where, remedy=remedy) from None
-    except Exception as error:  # whatever PyYAML's constructors raise, of a date that is none, a tag without a value
-        what = f"is not valid YAML (a value does not fit its type: {shortened(str(error), 100)})"
+    except Exception as error:  # whatever PyYAML raises, of a date that is none, a tag without a value, much nesting
+        what = f"is not valid YAML (a value cannot be read: {shortened(str(error), 100)})"
         raise InputError(what, where=where, remedy=remedy) from None
 
 
@@ -86,26 +81,21 @@ class _Dumper(yaml.SafeDumper):
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML within limits; the same key twice is refused, where the standard loader silently keeps the last."""
+    """Safe YAML of so many values at most, aliases followed (an alias of an alias of ... grows exponentially); the same
+    key twice is refused, where the standard loader silently keeps the last."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        self._depth = self._values = 0
-        self._size: dict[int, int] = {}  # of each finished node: values in it, aliases followed
+        self._values = 0
+        self._size: dict[int, int] = {}  # of each finished node: values in it
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event, before = self.peek_event(), self._values
-        self._depth += 1
-        if self._depth > MOST_DEPTH:
-            raise _error(f"nested more than {MOST_DEPTH} deep", event.start_mark)
-        is_alias = isinstance(event, yaml.AliasEvent)
+        is_alias, before = self.check_event(yaml.AliasEvent), self._values
         node = super().compose_node(parent, index)
-        self._depth -= 1
-        if is_alias and id(node) not in self._size:
-            raise _error(f"the alias '*{event.anchor}' holds itself", event.start_mark)
-        self._values += self._size[id(node)] if is_alias else 1
+        # an alias of what it stands in has no size yet
+        self._values += self._size.get(id(node), MOST_VALUES) if is_alias else 1
         if self._values > MOST_VALUES:
-            raise _error(f"more than {MOST_VALUES} values", event.start_mark)
+            raise _error(f"more than {MOST_VALUES} values", node)
         self._size[id(node)] = self._values - before
         return node
 
@@ -115,22 +105,21 @@ class _Loader(yaml.SafeLoader):
             key = self.construct_object(key_node, deep=True)
             try:
                 if key in seen:
-                    raise _error(f"key '{shortened(str(key), 60)}' appears twice", key_node.start_mark)
+                    raise _error(f"key '{shortened(str(key), 60)}' appears twice", key_node)
                 seen.add(key)
             except TypeError:
-                raise _error("a key is a list or a mapping", key_node.start_mark) from None
+                raise _error("a key is a list or a mapping", key_node) from None
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        digits = len(str(node.value))
-        value = super().construct_yaml_int(node) if digits <= 80 else _LARGEST_WHOLE + 1
+        value = super().construct_yaml_int(node)
         if abs(value) > _LARGEST_WHOLE:
-            raise _error(f"a whole number of {digits} digits", node.start_mark)
+            raise _error(f"a whole number of {len(str(node.value))} digits", node)
         return value
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
-def _error(problem: str, mark: Any) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+def _error(problem: str, place: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=place.start_mark)

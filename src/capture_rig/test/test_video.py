@@ -8,23 +8,14 @@ from footage_clips import CODECS, cut_off, place_of_square, scene, with_late_fra
 
 from capture_rig.errors import InputError
 from capture_rig.verdict import REDO, USABLE
-from capture_rig.video import (
-    PassedFrames,
-    Video,
-    VideoFacts,
-    ended_findings,
-    examine_video,
-    is_grey,
-    session_findings,
-    video_findings,
-)
+from capture_rig.video import Video, VideoFacts, ended_findings, examine_video, is_grey, video_findings
 
 PLACES = 69.5 + 6 * np.arange(20)
 """Columns of the scene's square."""
 
 
 def facts(path: str = "cam01.avi", frames: int = 100, header: int = 100, **passed: float) -> VideoFacts:
-    return VideoFacts(Path(path), header, 50.0, (644, 486), PassedFrames(frames, **passed))
+    return VideoFacts(Path(path), header, 50.0, frames, **passed)
 
 
 def places(video: Video) -> list[float]:
@@ -41,8 +32,8 @@ def test_every_codec_gives_all_frames_in_order_at_its_rate(
         assert (video.size_px, video.frame_count) == ((644, 486), 20)
         assert video.fps == pytest.approx(fps, rel=1e-4)
         assert places(video) == pytest.approx(PLACES, abs=1.0)
-        assert video.passed.frames == 20 and video.read() is None
-        assert [video.passed.shortest_s, video.passed.longest_s] == pytest.approx([1 / fps, 1 / fps], abs=2e-3)
+        assert video.facts.frames == 20 and video.read() is None
+        assert [video.facts.shortest_s, video.facts.longest_s] == pytest.approx([1 / fps, 1 / fps], abs=2e-3)
     assert list(video_findings(examine_video(path))) == []
 
 
@@ -77,9 +68,9 @@ def test_file_that_went_away_is_noticed_when_it_is_rewound(tmp_path: Path) -> No
 def test_recording_that_was_cut_off_says_how_many_frames_there_are(tmp_path: Path, codec: str) -> None:
     path = cut_off(write_clip(tmp_path / "cam01.avi", scene(20), 50.0, codec), 0.7)
     seen = examine_video(path)
-    assert 8 <= seen.passed.frames < 20
+    assert 8 <= seen.frames < 20
     (finding,) = video_findings(seen)
-    assert f"ends after {seen.passed.frames} frames, its header promises 20" in finding.what
+    assert f"ends after {seen.frames} frames, its header promises 20" in finding.what
 
 
 def test_mp4_that_was_cut_off_cannot_be_opened_and_the_remedy_says_what_to_try(tmp_path: Path) -> None:
@@ -94,7 +85,7 @@ def test_truncated_last_frame_costs_only_that_frame(tmp_path: Path) -> None:
     index = content.rindex(b"idx1")
     path.write_bytes(content[: index - 300])  # the last frame lacks its end, the file its index
     seen = examine_video(path)
-    assert seen.passed.frames in (19, 20)
+    assert seen.frames in (19, 20)
     with Video(path) as video:
         assert places(video)[:19] == pytest.approx(PLACES[:19], abs=1.0)
 
@@ -109,17 +100,6 @@ def test_variable_frame_rate_is_named_with_both_intervals_and_a_remedy(tmp_path:
 def test_time_stamps_in_whole_milliseconds_are_no_variable_rate() -> None:
     assert not list(video_findings(facts(shortest_s=0.016, longest_s=0.017)))
     assert not list(video_findings(facts(shortest_s=0.0, longest_s=0.0)))  # a raw stream has none
-
-
-def test_first_frame_that_comes_twice_is_named_where_other_cameras_have_it_once(tmp_path: Path) -> None:
-    images = scene(12)
-    late = write_clip(tmp_path / "cam01.mkv", [images[0], *images], 50.0, "FFV1")
-    others = [write_clip(tmp_path / f"cam0{n}.mkv", images, 50.0, "FFV1") for n in (2, 3)]
-    seen = {path.stem: examine_video(path) for path in (late, *others)}
-    assert [one.passed.twice for one in seen.values()] == [True, False, False]
-    (finding,) = session_findings(seen)
-    assert finding.what.startswith("the first frame of cam01.mkv comes twice") and "select" in finding.remedy
-    assert not list(session_findings({name: seen["cam01"] for name in seen}))  # all alike: nobody is late
 
 
 def test_video_without_a_frame_must_be_done_again() -> None:

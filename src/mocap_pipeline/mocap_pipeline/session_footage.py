@@ -97,7 +97,7 @@ def images_of(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iter
             images = {name: reader.read() for name, reader in readers.items()}
             found = {name: image for name, image in images.items() if image is not None}
             if len(found) < len(images):
-                ended({name: VideoFacts.of(video) for name, video in opened.items()})
+                ended({name: video.facts for name, video in opened.items()})
                 return
             yield found
 

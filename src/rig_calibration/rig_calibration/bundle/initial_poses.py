@@ -33,7 +33,6 @@ from .problem import LINE, DetectionPoses, PoseKey, View
 
 # Thresholds: judgement, no measurement.
 TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
-VOTING_FRAMES = 80
 
 
 def groups_of(cameras: Iterable[str], pairs: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
@@ -174,15 +173,13 @@ def poses_along_spanning_tree(
 
 def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
     """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
-    voting = np.unique(np.linspace(0, len(common) - 1, VOTING_FRAMES).round().astype(np.int64))
     observed = []
-    for a, b in (common[index] for index in voting):
+    for a, b in common:
         own = a.way == 0  # only the turn of one against the other matters
         T_b_a = transform(b.R, b.t) @ inverse(transform(a.R[own], a.t[own]))[:, None]
         weight, distance = a.weight[own, None] * b.weight, np.linalg.norm(b.t, axis=1)
         observed.append(_Allowed(T_b_a.reshape(-1, 4, 4), weight.ravel(), np.tile(distance, own.sum())))
-    T, support, _ = _consensus(observed)
-    return RelativePose(T, support * len(common) / len(voting))
+    return RelativePose(*_consensus(observed)[:2])
 
 
 def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:

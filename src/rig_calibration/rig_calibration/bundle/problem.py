@@ -7,7 +7,7 @@ a turn maps the points onto themselves, and, of a board, how far its middle stan
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -47,12 +47,12 @@ def check_problem(
     detections: Sequence[TargetDetection],
     targets: Mapping[str, npt.ArrayLike],
     alike: Collection[str],
-    intrinsics_sd: Mapping[str, npt.ArrayLike],
+    intrinsics_sd: Mapping[str, Sequence[float]],
 ) -> Problem:
     """Put the input in an order that does not depend on the order given; InputError for images of another size than
     the camera's lens was calibrated for."""
     models = {name: cameras[name] for name in sorted(cameras)}
-    ordered = tuple(_by_id(s) for s in sorted(detections, key=lambda s: (s.target, s.frame_index, s.camera)))
+    ordered = tuple(sorted(detections, key=lambda s: (s.target, s.frame_index, s.camera)))
     for detection in ordered:
         (width, height), camera = detection.image_size, models[detection.camera]
         if (width, height) != (camera.width, camera.height):
@@ -61,18 +61,8 @@ def check_problem(
                 where=camera.name,
                 remedy="Calibrate the lens at the size that the camera delivers, or give footage of that size.",
             )
-    sd = {name: np.asarray(intrinsics_sd[name], float) for name in sorted(intrinsics_sd)}
-    return Problem(
-        models,
-        shapes_of(targets, alike),
-        ordered,
-        {name: np.pad(given, (0, LENS - len(given))) for name, given in sd.items()},
-    )
-
-
-def _by_id(detection: TargetDetection) -> TargetDetection:
-    order = np.argsort(detection.ids, kind="stable")
-    return replace(detection, ids=detection.ids[order], pixels=detection.pixels[order])
+    sd = {name: np.pad(np.asarray(given, float), (0, LENS - len(given))) for name, given in intrinsics_sd.items()}
+    return Problem(models, shapes_of(targets, alike), ordered, sd)
 
 
 # --- Targets.
@@ -229,14 +219,6 @@ class View:
     @property
     def key(self) -> PoseKey:
         return self.detection.target, self.detection.frame_index
-
-    @property
-    def within_reach(self) -> View:
-        """The view without corners for which the lens has no ray: its model folds inside the image, and puts no place
-        there."""
-        has = np.isfinite(self.ideal).all(axis=1)
-        detection = replace(self.detection, ids=self.detection.ids[has], pixels=self.detection.pixels[has])
-        return replace(self, detection=detection, ideal=self.ideal[has])
 
     @property
     def links(self) -> bool:

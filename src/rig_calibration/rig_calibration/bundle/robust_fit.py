@@ -4,29 +4,32 @@ A wrong order of corners, a target that moved between the exposures, corners fou
 cameras that saw the target, the one farthest off is left out; of two, both. Sizes of targets are free beside that of
 the target seen most, with a prior, as are lenses that are to be refined: a size that is given wrongly would contradict
 everything else.
-Where cameras contradict one another more than the corners' noise explains, each detection may be displaced in the end
-(:mod:`.uncertainty`).
+
+Least squares would believe the many corners of a target that moved between two exposures far too much, above all across
+the line of sight, where a single picture tells a target's place to a fraction of a millimetre. So each detection is
+allowed a displacement of its own, unknown but for its standard deviation tau (m): the one with which the cameras
+contradict one another no more than noise does (Paule & Mandel 1982):
+
+    covariance of a detection's residuals = I + tau^2 A A^T,    A: derivatives by the target's position
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from capture_rig.lens import Array, is_fisheye
 from capture_rig.rigid import inverse
 
 from ..boards.board import TargetDetection
 from .adjustment import (
-    CONVERGED,
+    HUBER,
     RAYLEIGH_MEDIAN,
-    ROUGHLY,
     FreeUnknowns,
     Prior,
-    StopCriterion,
     adjust,
     normal_equations,
     normalised_lengths,
@@ -36,15 +39,14 @@ from .adjustment import (
 )
 from .initial_poses import InitialPoses, most_seen
 from .problem import LINE, Problem, View
-from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
-from .uncertainty import Covariance, covariance, displacement_of, whitened
+from .state import POSE, WARP, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 
 ROUNDS = 20
 DISPLACEMENT_ROUNDS = 8
+POSITION = slice(3, 6)
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
-FAR_OFF = "these corners of it contradict the others"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
 SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
@@ -55,16 +57,10 @@ HARMLESS_PX = 0.3  # lenses that are not quite right and delays may do so much
 
 @dataclass(frozen=True, eq=False)
 class RejectedDetection:
-    """A detection that took no part, or the ``corners`` (ids) of it that took none, and why."""
+    """A detection that took no part, and why."""
 
     detection: TargetDetection
     reason: str
-    corners: tuple[int, ...] = ()
-
-    @property
-    def whole(self) -> bool:
-        """Whether the whole detection was left out."""
-        return not self.corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +94,8 @@ class Fit:
 
     @property
     def reasons(self) -> dict[str, str]:
-        """The commonest reason, by camera, why detections of it were left out."""
-        counts = Counter((out.detection.camera, out.reason) for out in self.left_out if out.whole)
-        return {camera: reason for (camera, reason), _ in reversed(counts.most_common())}
+        """The last reason, by camera, why a detection of it was left out."""
+        return {out.detection.camera: out.reason for out in self.left_out}
 
     @property
     def free(self) -> FreeUnknowns:
@@ -110,12 +105,6 @@ class Fit:
         for camera in range(layout.cameras):
             shared[layout.camera(camera)] = camera != self.root
         return FreeUnknowns(shared, np.isin(np.arange(len(self.state.position)), self.seen.pose[self.rows]))
-
-    def covariance(self, free: FreeUnknowns) -> Covariance:
-        """Covariances in the gauge that ``free`` sets; lenses that are not adjusted are as uncertain as given."""
-        known = self.problem.lens_sd
-        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
-        return covariance(self.state, self.scale, self.used, free, lenses, self.displacement_m, self.prior)
 
     def rows_at_solution(self) -> Linearised:
         """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
@@ -154,25 +143,22 @@ def settled(fit: Fit) -> Fit:
 
 def without_contradictions(fit: Fit) -> Fit:
     """Adjust and leave out what contradicts the rest, until nothing does."""
-    stop = ROUGHLY
+    fit = adjusted(fit)
     for _ in range(ROUNDS):
-        fit = adjusted(fit, stop)
-        misfits = _misfits(fit)
-        wrong, out = _bad_corners(fit, misfits), _contradictions(fit, misfits)
-        if out or wrong.any():
-            fit = _leave_out(fit, wrong, out)
-        elif stop is CONVERGED:
-            return fit
-        else:
-            stop = CONVERGED
-    return adjusted(fit)
+        out = _contradictions(fit)
+        if not out:
+            break
+        left_out = [RejectedDetection(fit.detections[row], reason) for row, reason in out]
+        rows = np.delete(fit.rows, [row for row, _ in out])
+        fit = adjusted(replace(fit, rows=rows, left_out=(*fit.left_out, *left_out)))
+    return fit
 
 
-def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
+def adjusted(fit: Fit) -> Fit:
     """Adjust with all detections that take part."""
     if len(fit.rows) == 0:
         return fit
-    state, scale = adjust(fit.state, fit.used, fit.free, fit.prior, stop)
+    state, scale = adjust(fit.state, fit.used, fit.free, fit.prior)
     return replace(fit, state=state, scale=scale)
 
 
@@ -191,22 +177,12 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
     )
 
 
-def _misfits(fit: Fit) -> Array:
-    """Compute (s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
-    lengths = normalised_lengths(fit.state, fit.used) / fit.scale
-    return np.nanmedian(np.where(fit.used.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
-
-
-def _bad_corners(fit: Fit, misfits: Array) -> Bools:
-    """Mark (s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
-    lengths, misfit = normalised_lengths(fit.state, fit.used), misfits[:, None]
-    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * fit.used.weight)
-    return off & (misfit < CLEAR_SDS)
-
-
-def _contradictions(fit: Fit, misfit: Array) -> list[tuple[int, str]]:
+def _contradictions(fit: Fit) -> list[tuple[int, str]]:
     """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
     seen = fit.used
+    # the median residual of each over what is to be expected: about 1 when all is well
+    lengths = np.where(seen.weight > 0, normalised_lengths(fit.state, seen) / fit.scale, np.nan)
+    misfit = np.nanmedian(lengths, axis=1) / RAYLEIGH_MEDIAN
     sigma_px = fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
     # lesser ones may only follow from the worst
     limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
@@ -218,18 +194,6 @@ def _contradictions(fit: Fit, misfit: Array) -> list[tuple[int, str]]:
         else:
             found += [(int(row), PAIR if len(rows) == 2 else SINGLE) for row in rows]
     return sorted(found)
-
-
-def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
-    weight = fit.seen.weight.copy()
-    weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
-    detections = fit.detections
-    named = [RejectedDetection(detections[row], reason) for row, reason in out]
-    for row in np.flatnonzero(wrong.any(axis=1)):
-        corners = detections[row].ids[np.flatnonzero(wrong[row])]
-        named.append(RejectedDetection(detections[row], FAR_OFF, tuple(corners.tolist())))
-    rows = np.delete(fit.rows, [row for row, _ in out])
-    return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
 
 
 # --- Detections that are believed less than their corners claim.
@@ -247,3 +211,39 @@ def _with_displacement(fit: Fit) -> Fit:
         state = state.moved(*step(equations, free, 0.0))
         fit = replace(fit, state=state, displacement_m=tau)
     return fit
+
+
+def displacement_of(linear: Linearised, poses: Ints, shared: int, corners: int) -> float:
+    """Estimate the displacement (sd, m) of detections; 0 where noise explains as much.
+
+    ``poses`` (s,): the pose of each; ``shared``: free shared unknowns; ``corners``: how many there are.
+    """
+    A = linear.by_pose[:, :, POSITION]
+    values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
+    pull = (np.swapaxes(A @ vectors, 1, 2) @ linear.residual[..., None])[..., 0]
+    values = np.maximum(values, 1e-300)
+    squares = pull**2 / values
+    left = 1 - len(np.unique(poses)) / len(poses) - shared / (POSE * len(poses))  # the share that fitting leaves
+    dof, rest_dof = left * squares.size, 2 * corners - squares.size
+    noise = (float((linear.residual**2).sum()) - squares.sum()) / max(rest_dof, 1)
+    if dof < 1 or noise <= 0 or squares.sum() / noise < dof + HUBER * np.sqrt(2 * dof):
+        return 0.0
+
+    def excess(tau: float) -> float:
+        return float((squares / (noise + tau**2 * values)).sum()) - dof
+
+    return float(brentq(excess, 0.0, np.sqrt((squares / values).sum() / dof)))
+
+
+def whitened(linear: Linearised, tau: float) -> Linearised:
+    """Transform the rows so that the residuals are independent again; tau: sd of each detection's displacement, m."""
+    A = linear.by_pose[:, :, POSITION]
+    values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
+    values = np.maximum(values, 1e-12 * values[:, -1:] + 1e-300)
+    shrink = (1 - 1 / np.sqrt(1 + tau**2 * values)) / values
+    M = (vectors * shrink[:, None]) @ np.swapaxes(vectors, 1, 2)
+
+    def apply(rows: Array) -> Array:
+        return rows - A @ (M @ (np.swapaxes(A, 1, 2) @ rows))
+
+    return Linearised(apply(linear.residual[..., None])[..., 0], apply(linear.by_shared), apply(linear.by_pose))

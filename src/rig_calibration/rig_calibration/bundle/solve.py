@@ -16,10 +16,10 @@ from capture_rig.rigid import transform
 from ..boards.board import TargetDetection
 from .adjustment import FreeUnknowns, Prior, normal_equations, reduce, shared_of, step
 from .initial_poses import cameras_by_pose, initial_poses, require_connected
-from .problem import LINE, PoseKey, Problem, check_problem, views_of
-from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit
+from .problem import PoseKey, Problem, check_problem, views_of
+from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit, whitened
 from .state import State, camera_with, residuals_px
-from .uncertainty import inverse_over, whitened
+from .uncertainty import covariance, inverse_over
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def solve_rig(
     *,
     reference: PoseKey | None = None,
     alike: Collection[str] = (),
-    intrinsics_sd: Mapping[str, npt.ArrayLike] | None = None,
+    intrinsics_sd: Mapping[str, Sequence[float]] | None = None,
 ) -> RigSolution:
     """Solve for the poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of
     known size.
@@ -83,8 +83,7 @@ def solve_rig(
     """
     problem = check_problem(cameras, detections, targets, alike, intrinsics_sd or {})
     # 1. The pose of each target in each picture by itself: all solutions.
-    views = [view.within_reach for view in views_of(problem.detections, problem.cameras, problem.shapes)]
-    views = [view for view in views if view.shape.dimension != LINE or len(view.ideal) == len(view.shape.points)]
+    views = views_of(problem.detections, problem.cameras, problem.shapes)
     # 2. Are all cameras tied together by common views?
     useless = {view.detection.camera: NO_POSE for view in views if not view.links}
     require_connected(problem.cameras, [view.detection for view in views if view.links], useless)
@@ -171,7 +170,7 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
     residuals = residuals_px(state, used)
     squares = np.where(used.weight > 0, (residuals**2).sum(axis=2), np.nan)
     rms_px = [float(np.sqrt(np.nanmean(squares[used.camera == row]))) for row in range(len(names))]
-    found = fit.covariance(_free(fit, reference))
+    found = covariance(fit, _free(fit, reference))
     lenses = zip(names, state.lens, strict=True)
     return RigSolution(
         cameras={name: camera_with(problem.cameras[name], lens, T_camera[name]) for name, lens in lenses},
@@ -183,7 +182,7 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         covariance={name: found.of_shared[layout.camera(row), layout.camera(row)] for row, name in enumerate(names)},
         inflation=found.inflation,
         sync_error_m=fit.displacement_m,
-        left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
+        left_out=tuple(sorted(fit.left_out, key=_place)),
         undecided=_undecided(fit),
         scale_of={
             name: (float(state.scale[row]), float(np.sqrt(found.of_shared[scale, scale])))

@@ -12,7 +12,6 @@ from functools import cached_property
 from math import nan
 
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -125,7 +124,7 @@ def calibrate_rig(
     detections: Sequence[TargetDetection],
     targets: Mapping[str, Target],
     *,
-    intrinsics_sd: Mapping[str, npt.ArrayLike] | None = None,
+    intrinsics_sd: Mapping[str, Sequence[float]] | None = None,
     tape: Iterable[TapeMeasure] = (),
 ) -> RigCalibration:
     """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.

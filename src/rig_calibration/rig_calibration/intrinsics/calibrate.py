@@ -14,67 +14,72 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.lens import COEFFICIENTS, Array
 from capture_rig.rigid import transform
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import initial_poses
-from ..bundle.problem import THIN, check_problem, shapes_of, views_of
-from ..bundle.robust_fit import Fit, RejectedDetection, adjusted, settled, start_fit
+from ..bundle.problem import check_problem, shapes_of, views_of
+from ..bundle.robust_fit import Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
-from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
-from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult
+from ..bundle.uncertainty import covariance
+from .lens_model import FISHEYE, MODELS, SIMPLE, LensModel, edge_sd_px
+from .result import UNUSED_GOOD, Intrinsics, ViewResult
 
 AUTO = "auto"
 # Thresholds: judgement, no measurement.
 WORTHWHILE = 0.02  # relative gain in rms for which more coefficients are taken (by chance they gain 0.0003)
-MIN_CORNERS = 8
 MIN_VIEWS = 3
 FOCAL_TRIALS = np.geomspace(0.2, 5.0, 9)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
 
 
 def calibrate_intrinsics(
-    detections: Sequence[TargetDetection], board: Board, *, name: str, model: str = "plumb_bob"
+    detections: Sequence[TargetDetection], board: Board, *, name: str, model: str = SIMPLE
 ) -> Intrinsics:
     """Calibrate the lens of camera ``name`` from what it saw of ``board``; the same detections, in any order, give the
     same bytes.
 
-    ``model`` : plumb_bob, rational_polynomial, equidistant, or auto: the one that explains the views better.
-    Raises InputError: images of several sizes, corners that the board has not, too few views that agree.
+    ``model`` : one of MODELS, or auto: the one that explains the views better. Raises InputError: images of several
+    sizes, too few views that agree.
     """
-    usable, poor = usable_detections(detections, board)
+    views = sorted(detections, key=lambda detection: detection.frame_index)
+    if len(views) < MIN_VIEWS:
+        raise InputError(
+            f"{len(views)} views of the board can be used, {MIN_VIEWS} are the least",
+            where=name,
+            remedy="Take 20 or more, tilted and all over the image; check the board's size.",
+        )
     # lens, poses and the board's warp together, without what the other views contradict
-    result = choose_model(usable, board) if model == AUTO else fit_lens(usable, board, LensModel(model))
-    return replace(result, camera=replace(result.camera, name=name), left_out=(*poor, *result.left_out))
+    result = choose_model(views, board) if model == AUTO else fit_lens(views, board, LensModel(model))
+    return replace(result, camera=replace(result.camera, name=name))
 
 
 # --- Which lens model.
 
 
 def choose_model(views: Sequence[TargetDetection], board: Board) -> Intrinsics:
-    """Return the fit of the model that explains the typical view best. A richer model is taken where it explains the
-    views better, or alike and has rays for more of the image. (A view has a hundred corners: more coefficients cannot
-    adapt to its noise; but which view is the median one may change, so models are compared view by view.) Raises
-    InputError where the views contradict each other by every model."""
+    """Return the fit of the simple model, or of the fisheye's where that explains the typical view better, or alike and
+    has rays for more of the image. (A view has a hundred corners: more coefficients cannot adapt to its noise; but
+    which view is the median one may change, so models are compared view by view.) Raises InputError where the views
+    contradict each other by both."""
     fits: dict[str, Intrinsics] = {}
-    for name in COEFFICIENTS:
+    for name in MODELS:
         try:
-            fits[name] = fit_lens(views, board, LensModel(name), fits.get(FISHEYE))
-        except InputError:  # a fisheye's views contradict each other by the other models
-            if name == RATIONAL and not fits:
+            fits[name] = fit_lens(views, board, LensModel(name))
+        except InputError:  # a fisheye's views contradict each other by the other model
+            if name == FISHEYE and not fits:
                 raise
-    rms_px = {name: fit.typical_px for name, fit in fits.items()}
-    best = min(fits.values(), key=lambda fit: fit.typical_px)
-    chosen, *richer = [name for name, fit in fits.items() if typical_ratio(fit, best) <= 1 + WORTHWHILE]
-    why = ": no better, so the simpler one" if richer else ""
-    for name in richer:
-        lost, rest = (fits[each].camera.unused_share for each in (chosen, name))
-        if lost > rest + UNUSED_GOOD:
-            why = f": as good, and {chosen} has no rays for the outer {100 * lost:.1f} % of the image"
-            chosen = name
-    reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
-    return replace(fits[chosen], choice=ModelChoice(chosen, rms_px, reason + why))
+    chosen, why = next(iter(fits.values())), ""
+    if len(fits) > 1:
+        simple, fisheye = fits[SIMPLE], fits[FISHEYE]
+        wider = simple.camera.unused_share > fisheye.camera.unused_share + UNUSED_GOOD
+        most = 1 + WORTHWHILE
+        if typical_ratio(simple, fisheye) > most or (wider and typical_ratio(fisheye, simple) <= most):
+            chosen, why = fisheye, f": {SIMPLE} has no rays for {simple.camera.unused_share:.1%} of the image" * wider
+        else:
+            why = ": no better, so the simpler one"
+    rms_px = ", ".join(f"{fit.typical_px:.3f} px with {name}" for name, fit in fits.items())
+    return replace(chosen, choice=f"{chosen.camera.distortion_model}, rms {rms_px}{why}")
 
 
 def typical_ratio(fit: Intrinsics, other: Intrinsics) -> float:
@@ -88,24 +93,13 @@ def typical_ratio(fit: Intrinsics, other: Intrinsics) -> float:
 # --- The fit of one model.
 
 
-def fit_lens(
-    detections: Sequence[TargetDetection], board: Board, model: LensModel, wide: Intrinsics | None = None
-) -> Intrinsics:
-    """Fit a lens of ``model`` to one camera's usable ``detections``, those that contradict the others left out.
-
-    ``wide`` : the fisheye fitted to the same, where a rational lens is wanted and there is one already. Raises
-    InputError when too few views agree.
-    """
-    radial, some = None, detections[:: max(1, len(detections) // TRIAL_VIEWS)]
-    if model.name == RATIONAL:
-        # its many coefficients are free where no board was seen: there the lens goes on as lenses do
-        fisheye = (wide or fit_lens(detections, board, LensModel(FISHEYE))).camera
-        radial = rational_prior(fisheye)
-        start = replace(fisheye, distortion_model=RATIONAL, D=radial[0])
-    else:
-        start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model)))
+def fit_lens(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> Intrinsics:
+    """Fit a lens of ``model`` to one camera's ``detections``, those that contradict the others left out. Raises
+    InputError when too few views agree."""
+    some = detections[:: max(1, len(detections) // TRIAL_VIEWS)]
+    start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model)))
     # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
-    fit = settled(_fit_from(start, detections, board, model, radial))
+    fit = settled(_fit_from(start, detections, board, model))
     if len(fit.rows) < MIN_VIEWS:
         reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"
         raise InputError(
@@ -129,20 +123,14 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
     return min(trials, key=typical_misfit)
 
 
-def _fit_from(
-    camera: CameraModel,
-    detections: Sequence[TargetDetection],
-    board: Board,
-    model: LensModel,
-    radial: tuple[Array, Array] | None = None,
-) -> Fit:
+def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board: Board, model: LensModel) -> Fit:
     """Return the solver's first state: poses by that lens, lens and warp free with their prior."""
     target = detections[0].target
     problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, (), {})
     views = views_of(problem.detections, problem.cameras, problem.shapes)
     fit = start_fit(problem, views, initial_poses(problem.cameras, views))
     focal_px = float(camera.K.diagonal()[:2].mean())
-    prior = model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial)
+    prior = model.prior(focal_px, (camera.width, camera.height), diagonal_m(board))
     return replace(fit, prior=prior)
 
 
@@ -151,79 +139,31 @@ def _camera_of(fit: Fit) -> CameraModel:
 
 
 def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
-    found, used, state = fit.covariance(fit.free), fit.used, fit.state
+    found, used, state = covariance(fit, fit.free), fit.used, fit.state
     sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
     columns, count = model.columns, len(model.names)
-    covariance = found.of_shared[columns[:, None], columns]
-    sd = np.sqrt(np.diag(covariance)).tolist()
-    gone = {out.detection.frame_index for out in fit.left_out if out.whole}
-    left_out = [out for out in fit.left_out if out.whole or out.detection.frame_index not in gone]
+    of_lens_and_board = found.of_shared[columns[:, None], columns]
+    of_lens = of_lens_and_board[:count, :count]
+    sd = np.sqrt(np.diag(of_lens_and_board)).tolist()
     views, middle = [], board.corners_board.mean(axis=0)
-    for detection, residuals, weight, row in zip(
-        fit.detections, residuals_px(state, used), used.weight, used.pose, strict=True
-    ):
-        kept = np.flatnonzero(weight)  # in the order of the ids
-        corners = replace(detection, ids=detection.ids[kept], pixels=detection.pixels[kept])
+    for detection, residuals, row in zip(fit.detections, residuals_px(state, used), used.pose, strict=True):
         R = state.R_pose[row]
-        views.append(ViewResult(corners, residuals[kept], transform(R, state.position[row] - R @ middle)))
+        T_camera_board = transform(R, state.position[row] - R @ middle)
+        views.append(ViewResult(detection, residuals[: len(detection)], T_camera_board))
     camera = _camera_of(fit)
     return Intrinsics(
         camera=camera,
         sigma_px=sigma_px,
         sd=dict(zip(model.names, sd[:count], strict=True)),
-        covariance=covariance[:count, :count],
+        covariance=of_lens,
         sd_enlarged_by=float(np.sqrt(found.inflation)),
         board_diagonal_m=diagonal_m(board),
         warp_m=tuple(state.board_warp[0].tolist()),
         warp_sd_m=tuple(sd[count:]),
         views=tuple(views),
-        left_out=tuple(sorted(left_out, key=lambda out: out.detection.frame_index)),
-        edge_sd_px=edge_sd_px(camera, covariance[:count, :count]),
+        left_out=tuple(sorted(fit.left_out, key=lambda out: out.detection.frame_index)),
+        edge_sd_px=edge_sd_px(camera, of_lens),
     )
-
-
-# --- Which detections can be used.
-
-
-def usable_detections(
-    detections: Sequence[TargetDetection], board: Board
-) -> tuple[list[TargetDetection], list[RejectedDetection]]:
-    """Select the detections worth adjusting, ordered by frame; those that show too little, with the reason.
-
-    Raises InputError for images of several sizes, and for fewer than three views.
-    """
-    ordered = sorted(detections, key=lambda detection: detection.frame_index)
-    require_one_size(ordered)
-    reasons = [why_useless(detection, board) for detection in ordered]
-    kept = [detection for detection, reason in zip(ordered, reasons, strict=True) if not reason]
-    if len(kept) < MIN_VIEWS:
-        raise InputError(
-            f"{len(kept)} views of the board can be used, {MIN_VIEWS} are the least",
-            where=ordered[0].camera if ordered else "",
-            remedy="Take 20 or more, tilted and all over the image; check the board's size.",
-        )
-    return kept, [RejectedDetection(detection, why) for detection, why in zip(ordered, reasons, strict=True) if why]
-
-
-def require_one_size(detections: Sequence[TargetDetection]) -> None:
-    """Raise InputError for images of several sizes, naming the first frame of each."""
-    first = {detection.image_size: detection.frame_index for detection in reversed(detections)}
-    if len(first) > 1:
-        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
-        raise InputError(
-            f"the images have several sizes: {listed}",
-            where=detections[0].camera,
-            remedy="Give images of one size: the one that the camera will work with.",
-        )
-
-
-def why_useless(detection: TargetDetection, board: Board) -> str:
-    """Say why a detection is too little to fix the board's pose, "" when it is not."""
-    if len(detection) < MIN_CORNERS:
-        return f"shows {len(detection)} corners only"
-    seen = board.corners_board[detection.ids, :2]
-    spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
-    return "shows corners on one line only" if spread[1] < THIN * spread[0] else ""
 
 
 def diagonal_m(board: Board) -> float:

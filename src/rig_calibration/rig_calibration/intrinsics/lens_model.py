@@ -19,10 +19,9 @@ from ..bundle.adjustment import Prior
 from ..bundle.problem import LENS
 from ..bundle.state import Ints, Layout, lens_of
 
-SIMPLE, FISHEYE, RATIONAL = COEFFICIENTS
+SIMPLE, FISHEYE = MODELS = "plumb_bob", "equidistant"
+"""Lens models that are fitted, the simpler one first; other programs' rational ones are read, too."""
 LAYOUT = Layout(cameras=1, targets=1)
-DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-FISHEYE_NAMES = ("k1", "k2", "k3", "k4")
 REFERENCE_WIDTH_PX = 640  # of images, for which limits in pixels are given
 
 # Thresholds: judgement, and outweighed by views (decisions); measured by python bench/calibration.py.
@@ -33,30 +32,22 @@ CENTRE_PRIOR = 0.1  # of the image's longer side, around the middle
 # coefficient -> by how much its term moves the image's corner, as a share of the distance from the centre; and the
 # power of the corner's normalised radius that its term grows with
 DISTORTION_PRIOR = {
-    "k1": (0.5, 2),
-    "k2": (0.2, 4),
-    "p1": (0.01, 1),
-    "p2": (0.01, 1),
-    "k3": (0.03, 6),
-    "k4": (0.5, 2),
-    "k5": (0.5, 4),
-    "k6": (0.25, 6),
+    SIMPLE: {"k1": (0.5, 2), "k2": (0.2, 4), "p1": (0.01, 1), "p2": (0.01, 1), "k3": (0.03, 6)},
+    FISHEYE: {"k1": (0.5, 2), "k2": (0.5, 4), "k3": (0.5, 6), "k4": (0.5, 8)},
 }
-FISHEYE_PRIOR = {"k1": (0.5, 2), "k2": (0.5, 4), "k3": (0.5, 6), "k4": (0.5, 8)}
 WARP_PRIOR = 0.003  # of the board's diagonal: a millimetre on a sheet of A4
 
 
 @dataclass(frozen=True)
 class LensModel:
-    """Which parameters there are. ``name`` is ROS's: plumb_bob, rational_polynomial or equidistant."""
+    """Which parameters there are. ``name``, ROS's, is one of MODELS."""
 
     name: str
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the lens's own parameters, in order."""
-        distortion = FISHEYE_NAMES if self.name == FISHEYE else DISTORTION_NAMES[: COEFFICIENTS[self.name]]
-        return ("fx", "fy", "cx", "cy", *distortion)
+        return ("fx", "fy", "cx", "cy", *DISTORTION_PRIOR[self.name])
 
     @property
     def columns(self) -> Ints:
@@ -69,32 +60,19 @@ class LensModel:
         K = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
         return CameraModel(name, width, height, K, self.name, none, np.eye(4))
 
-    def prior(
-        self,
-        focal_px: float,
-        image_size: tuple[int, int],
-        board_diagonal_m: float,
-        radial: tuple[Array, Array] | None = None,
-    ) -> Prior:
-        """Return what is known of a lens whose focal length is roughly ``focal_px``.
-
-        ``radial`` : mean and information of the distortion coefficients, where more is known of them."""
+    def prior(self, focal_px: float, image_size: tuple[int, int], board_diagonal_m: float) -> Prior:
+        """Return what is known of a lens whose focal length is roughly ``focal_px``."""
         start, count = LAYOUT.lens(0).start, len(self.names)
         mean, information = np.zeros(LAYOUT.size), np.zeros((LAYOUT.size, LAYOUT.size))
         mean[start : start + LENS] = lens_of(self.camera("", focal_px, image_size))
         radius = np.hypot(*image_size) / 2 / focal_px  # a long lens sees small radii only
-        priors = FISHEYE_PRIOR if self.name == FISHEYE else DISTORTION_PRIOR
-        distortion = [share / radius**power for share, power in (priors[name] for name in self.names[4:])]
+        distortion = [share / radius**power for share, power in DISTORTION_PRIOR[self.name].values()]
         warp = WARP_PRIOR * board_diagonal_m
         sd = np.array([focal_px] * 2 + [CENTRE_PRIOR * max(image_size)] * 2 + distortion)
         information[self.columns, self.columns] = np.r_[0.5, 0.5, np.ones(count)] * np.r_[sd, warp, warp] ** -2.0
         information[start : start + 2, start : start + 2] += (
             np.array([[1.0, -1.0], [-1.0, 1.0]]) / (ASPECT_PRIOR * focal_px) ** 2
         )
-        if radial is not None:
-            coefficients = slice(start + 4, start + 4 + len(radial[0]))
-            mean[coefficients] = radial[0]
-            information[coefficients, coefficients] += radial[1]
         return Prior(mean, information)
 
 
@@ -128,38 +106,3 @@ def outermost_pixels(camera: CameraModel) -> Array:
     reached = np.isfinite(camera.ideal_points(along.reshape(-1, 2))).all(axis=1, keepdims=True).reshape(len(along), -1)
     last = len(along) - 1 - np.argmax(reached[::-1], axis=0)
     return along[last, np.arange(len(corners))]
-
-
-# --- How wide lenses go on where no board was seen: like the fisheye that the views agree on, not like a polynomial.
-#
-# The classical projections (rectilinear, stereographic, equidistant, equisolid, orthographic) are smooth odd functions
-# of the angle off the axis, which a fisheye's four terms follow into the image's corners. As a prior of the rational
-# model that leaves it free where it is measured, and keeps its eight coefficients, which a board in the middle does not
-# tell apart, from folding in the corners.
-
-TAN_REACH_RAD = np.deg2rad(80.0)  # as far as a lens model in tan(a) can go
-BEYOND = 1.2  # of the angle of the outermost pixels: no fold and no pole of the polynomials lies next to them either
-SAMPLES = 24
-# sd of a real lens about what the fisheye says where no board was seen, as a share of the radius;
-# views outweigh it by far (0.1 px of noise are a fiftieth of it)
-DEPARTURE = 0.01
-
-
-def rational_prior(fisheye: CameraModel) -> tuple[Array, Array]:
-    """Return the mean (8,) of k1 k2 p1 p2 k3 k4 k5 k6 and their information (8, 8), by what a fisheye says of the
-    radial function up to the image's outermost pixels, and a little beyond."""
-    outermost = np.arctan(np.hypot(*fisheye.ideal_points(outermost_pixels(fisheye)).T).max())
-    ideal = np.tan(np.linspace(0.0, min(BEYOND * outermost, TAN_REACH_RAD), SAMPLES + 1)[1:])
-    on_axis = np.column_stack([ideal, 0.0 * ideal])
-    distorted = lens.distort(on_axis, fisheye.D)[:, 0]
-    q = ideal**2
-    powers = np.column_stack([q, q**2, q**3])
-    # ideal (1 + k1 q + ...) = distorted (1 + k4 q + ...), linear in the coefficients; the smallest that fit
-    rows = np.hstack([ideal[:, None] * powers, -distorted[:, None] * powers]) / distorted[:, None]
-    scale = np.abs(rows).max(axis=0)
-    radial = np.linalg.lstsq(rows / scale, 1.0 - ideal / distorted, rcond=1e-4)[0] / scale
-    mean = np.array([radial[0], radial[1], 0.0, 0.0, *radial[2:]])
-    by_coefficients = lens.derivatives(on_axis, mean)[2][:, 0]
-    by_coefficients[:, 2:4] = 0.0  # tangential: nothing is said
-    weighted = by_coefficients / (DEPARTURE * distorted[:, None])
-    return mean, weighted.T @ weighted / SAMPLES

@@ -25,8 +25,7 @@ def draw(result: Intrinsics) -> Figure:
     pixels = np.concatenate([view.detection.pixels for view in result.views])
     magnified = draw_residuals(over_image, camera, pixels, np.concatenate([view.residuals for view in result.views]))
     for entry in result.left_out:
-        if entry.whole:
-            over_image.plot(*np.asarray(entry.detection.pixels).T, "x", color=WRONG, markersize=3, alpha=0.5)
+        over_image.plot(*np.asarray(entry.detection.pixels).T, "x", color=WRONG, markersize=3, alpha=0.5)
     over_image.set_title(f"residuals, {magnified:.0f} times larger; red: views left out", fontsize=10)
     by_view.bar(range(len(rms)), rms, color=SEEN)
     by_view.axhline(result.rms_px, color=CURVE, label=f"all: {result.rms_px:.3f} px")

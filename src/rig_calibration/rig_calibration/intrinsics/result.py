@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 from typing import Any
@@ -17,15 +17,6 @@ from capture_rig.verdict import Finding, Verdict, graded, judge
 from ..boards.board import TargetDetection
 from ..bundle.robust_fit import CLEAR_SDS, RejectedDetection
 from .lens_model import FISHEYE, REFERENCE_WIDTH_PX, WARP_PRIOR
-
-
-@dataclass(frozen=True)
-class ModelChoice:
-    """``model`` and why; rms_px: of a corner's coordinate in the median view, by model."""
-
-    model: str
-    rms_px: dict[str, float]
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +42,7 @@ class Intrinsics:
     parameter name, px or without unit; covariance : theirs, in the same order. sd_enlarged_by : factor >= 1 by which sd
     exceeds what independent corner errors would give. warp_m : how far the board's middle stands out along x and y, and
     sd. views, left_out : what the result rests on, and what not. edge_sd_px : uncertainty of a ray at the four corners
-    of the image (or as far as the lens model holds), the worst. choice : why this lens model, when it was chosen.
+    of the image (or as far as the lens model holds), the worst. choice : the lens model and why, when it was chosen.
     """
 
     camera: CameraModel
@@ -65,7 +56,7 @@ class Intrinsics:
     views: tuple[ViewResult, ...]
     left_out: tuple[RejectedDetection, ...]
     edge_sd_px: float
-    choice: ModelChoice | None = None
+    choice: str = ""
 
     @property
     def values(self) -> dict[str, float]:
@@ -81,7 +72,7 @@ class Intrinsics:
     @property
     def typical_px(self) -> float:
         """Of the corners' distances in the median view, a view that was left out being worse than any other."""
-        return float(np.median([view.rms_px for view in self.views] + [inf for out in self.left_out if out.whole]))
+        return float(np.median([view.rms_px for view in self.views] + [inf] * len(self.left_out)))
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -96,7 +87,6 @@ def rms_length(views: Sequence[ViewResult]) -> float:
 
 def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
     """Make plain data for YAML; ``about`` (board, sources, versions, date) comes first."""
-    choice = {"model_choice": asdict(result.choice)} if result.choice else {}
     return {
         **about,
         "camera": result.camera.name,
@@ -117,7 +107,7 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
             axis: {"value": _short(1e3 * warp), "sd": _short(1e3 * sd)}
             for axis, warp, sd in zip("xy", result.warp_m, result.warp_sd_m, strict=True)
         },
-        **choice,
+        "model_choice": result.choice,
         "views": [
             {
                 "frame": view.detection.frame_index,
@@ -128,10 +118,7 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
             }
             for view in result.views
         ],
-        "left_out": [
-            {"frame": entry.detection.frame_index, "why": entry.reason, "corners": list(entry.corners)}
-            for entry in result.left_out
-        ],
+        "left_out": [{"frame": entry.detection.frame_index, "why": entry.reason} for entry in result.left_out],
     }
 
 
@@ -148,7 +135,7 @@ def _short(value: float) -> float:
 FOCAL_SD, CENTRE_SD_PX = (0.002, 0.008), (1.0, 4.0)  # the first of the focal length
 EDGE_SD_PX = (2.0, 25.0)
 NOISE_PX = (0.4, 1.2)  # sd of a corner's coordinate
-LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = (0.2, 0.5), (0.03, inf)
+LEFT_OUT_SHARE = (0.2, 0.5)
 UNUSED_GOOD, UNUSED_USABLE = 0.001, 0.3  # of the image's pixels: without rays
 
 
@@ -170,15 +157,10 @@ def lens_findings(result: Intrinsics) -> Iterator[Finding]:
         remedy += "--model auto"
     limits = (UNUSED_GOOD, inf) if fisheye else (UNUSED_GOOD, UNUSED_USABLE)
     yield from graded(camera.unused_share, limits, unused_text(camera), remedy)
-    whole = [entry for entry in result.left_out if entry.whole]
-    views, first = len(result.views) + len(whole), f" (the first: {whole[0].reason})" if whole else ""
-    what = f"{len(whole)} of {views} views were left out{first}"
+    gone, views = result.left_out, len(result.views) + len(result.left_out)
+    what = f"{len(gone)} of {views} views were left out" + "".join(f" (the first: {out.reason})" for out in gone[:1])
     remedy = "hold the board still, film one flat board only; try --model auto"
-    yield from graded(len(whole) / views, LEFT_OUT_SHARE, what, remedy)
-    single = sum(len(entry.corners) for entry in result.left_out)
-    share = single / (single + sum(len(view.detection) for view in result.views))
-    what = f"{100 * share:.0f} % of the corners contradict the others and were left out"
-    yield from graded(share, CORNERS_LEFT_OUT_SHARE, what, "the lens may need another model: try --model auto")
+    yield from graded(len(gone) / views, LEFT_OUT_SHARE, what, remedy)
     what = f"corners miss their places by {result.sigma_px:.2f} px"
     remedy = (
         "board not flat, moving during exposure, rolling shutter, or the lens refocused or zoomed on the way: film a "

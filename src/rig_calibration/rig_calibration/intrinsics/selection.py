@@ -1,7 +1,7 @@
 """Chooses the views to calibrate from: sharp, still, unlike each other, and informative about the lens.
 
-Views are offered one by one, from a video or live, and each is answered at once. Collecting ends when focal length and
-principal point are known well enough, by a fit to the views so far, not after some number of views.
+Views are offered one by one, from a video or live, and each is answered at once. Collecting ends when all is covered by
+enough views; how well they tell the lens, the calibration's verdict says.
 """
 
 from __future__ import annotations
@@ -19,11 +19,9 @@ from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
 from ..boards.board import Board, TargetDetection
-from ..boards.corner_grid import MIN_FOUND
-from ..boards.detector import as_grey, find_board
+from ..boards.detector import find_board
 from ..bundle.problem import poses_of, target_shape
-from .calibrate import fit_lens, require_one_size, why_useless
-from .lens_model import REFERENCE_WIDTH_PX, LensModel
+from .lens_model import REFERENCE_WIDTH_PX, SIMPLE, LensModel
 
 # --- What the views of a board cover: the image, the four directions of tilt, distances.
 
@@ -39,14 +37,13 @@ SIDES = ("left", "right", "top", "bottom")
 class View:
     """A detection and how it shows the board: centre (2,) px; size: side of its area, as a share of the image's;
     lean_rad (2,) how much its edges at the image's right (+, left -) and bottom (+, top -) lean towards the camera;
-    roll_rad in the image; blur_px, motion included."""
+    roll_rad in the image."""
 
     detection: TargetDetection
     centre_px: Array
     size: float
     lean_rad: Array
     roll_rad: float
-    blur_px: float
 
     def unlike(self, other: View) -> float:
         """1 and more: another view; less: the same again."""
@@ -60,7 +57,7 @@ class View:
         return float(np.linalg.norm(differences))
 
 
-def view_of(detection: TargetDetection, board: Board, lens: CameraModel, blur_px: float = 0.0) -> View | None:
+def view_of(detection: TargetDetection, board: Board, lens: CameraModel) -> View | None:
     """Tell what a board means to the person who holds it, seen by roughly this lens; None when its pose is unknown."""
     pixels, shape = detection.pixels, target_shape("", board.corners_board)
     poses = poses_of(detection.ids, lens.ideal_points(pixels), lens, shape)
@@ -78,7 +75,6 @@ def view_of(detection: TargetDetection, board: Board, lens: CameraModel, blur_px
         size=float(np.sqrt(area / np.prod(detection.image_size))),
         lean_rad=angle * direction,
         roll_rad=float(np.arctan2(along[1], along[0])),
-        blur_px=blur_px,
     )
 
 
@@ -147,12 +143,10 @@ def covered_cells(pixels: Array, image_size: tuple[int, int], shape: tuple[int, 
 # --- The views.
 
 BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
-MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of width
 ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  # of the width; of its logarithm
-FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
+MIN_CORNERS = 8
 PLENTY = 80  # views; more help little
-ENOUGH_VIEWS = 12
-FOCAL_SD, CENTRE_SD_PX = 0.001, 1.0  # known well enough: the focal length (share), the principal point
+ENOUGH_VIEWS = 20
 NOT_SEEN = "the board is not seen"
 
 
@@ -164,16 +158,13 @@ class ViewCollector:
     """
 
     def __init__(
-        self, board: Board, camera: str, *, model: str = "plumb_bob", every: bool = False, thorough: bool = False
+        self, board: Board, camera: str, *, model: str = SIMPLE, every: bool = False, thorough: bool = False
     ) -> None:
         self.board, self.camera, self.thorough = board, camera, thorough
         self.examined = self.found = 0
         self.reasons: Counter[str] = Counter()
         self._model, self._every = LensModel(model), every
         self._views: list[View] = []
-        self._lens: CameraModel | None = None
-        self._fitted_sd: Array = np.empty(0)  # of fx fy cx cy, when it was fitted
-        self._fitted, self._next_fit = 0, FIRST_FIT
 
     @property
     def detections(self) -> list[TargetDetection]:
@@ -183,39 +174,37 @@ class ViewCollector:
     def __len__(self) -> int:
         return len(self._views)
 
-    def process(
-        self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int
-    ) -> tuple[TargetDetection | None, str]:
-        """Look at an image (H, W[, 3]) uint8; ``neighbour`` is the one just before it, if there is one.
+    def process(self, image: np.ndarray, frame_index: int) -> tuple[TargetDetection | None, str]:
+        """Look at an image (H, W[, 3]) uint8.
 
         Returns the detection, None when the board was not found, and why it was not taken ("": it was). Raises
         InputError when the images change their size.
         """
         detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)
-        reason = NOT_SEEN
-        if detection is not None:
-            moved = 0.0 if neighbour is None else motion_px(image, neighbour, detection.pixels)
-            reason = self.try_add(detection, moved)
+        reason = NOT_SEEN if detection is None else self.try_add(detection)
         self.examined += 1
         self.found += detection is not None
         if reason:
             self.reasons[reason.partition(":")[0]] += 1
         return detection, reason
 
-    def try_add(self, detection: TargetDetection, motion_px: float = 0.0) -> str:
-        """Add the view and return "", or say why not. ``motion_px`` : how far it moved from the image before.
-
-        Raises InputError for an image of another size, corners the board has not."""
-        scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
-        sharpest_px = np.percentile([view.blur_px for view in self._views], 25) if self._views else 0.0
-        if detection.blur_px > max(BLUR_PX * scale, BLUR_FACTOR * sharpest_px):
+    def try_add(self, detection: TargetDetection) -> str:
+        """Add the view and return "", or say why not. Raises InputError for an image of another size."""
+        size, blurs_px = detection.image_size, [view.detection.blur_px for view in self._views]
+        if self._views and size != self._views[0].detection.image_size:
+            first = self._views[0].detection
+            raise InputError(
+                f"the images have several sizes: {first.image_size} in frame {first.frame_index}, {size} in frame "
+                f"{detection.frame_index}",
+                where=self.camera,
+                remedy="Give images of one size: the one that the camera will work with.",
+            )
+        sharpest_px = np.percentile(blurs_px, 25) if blurs_px else 0.0
+        if detection.blur_px > max(BLUR_PX * max(size[0] / REFERENCE_WIDTH_PX, 1.0), BLUR_FACTOR * sharpest_px):
             return f"too blurred: by {detection.blur_px:.1f} px; hold it still, check focus and exposure"
-        if not motion_px <= MOTION_PX * scale:
-            return "the board moves: hold it still"
-        if reason := why_useless(detection, self.board):
-            return reason
-        require_one_size([*self.detections[:1], detection])
-        view = self._seen(detection, float(np.hypot(detection.blur_px, motion_px)))
+        if len(detection) < MIN_CORNERS:
+            return f"shows {len(detection)} corners only"
+        view = view_of(detection, self.board, self._model.camera(self.camera, float(max(size)), size))
         return "its pose cannot be told" if view is None else self._compare(view)
 
     @property
@@ -224,21 +213,9 @@ class ViewCollector:
         return coverage_of(self._views)
 
     @property
-    def expected_sd(self) -> tuple[float, float] | None:
-        """How well a calibration from the views so far would know the focal length (share) and the principal point
-        (px), since the last fit by their number; None until there are enough to tell."""
-        if self._lens is None:
-            return None
-        sd = self._fitted_sd * np.sqrt(self._fitted / len(self))
-        return float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:].max())
-
-    @property
     def enough(self) -> bool:
-        """Whether all is covered and known well enough, or so many views were taken that more help little."""
-        expected = self.expected_sd
-        if expected is None or len(self) < ENOUGH_VIEWS or not self.coverage.complete:
-            return False
-        return (expected[0] <= FOCAL_SD and expected[1] <= CENTRE_SD_PX) or len(self) >= PLENTY
+        """Whether all is covered by enough views, or so many views were taken that more help little."""
+        return len(self) >= PLENTY or (len(self) >= ENOUGH_VIEWS and self.coverage.complete)
 
     def advice(self) -> str:
         """Return what to show next; "" when it is enough."""
@@ -248,51 +225,15 @@ class ViewCollector:
             return "show the whole board to the camera and hold it still"
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
 
-    def _seen(self, detection: TargetDetection, blur_px: float) -> View | None:
-        size = detection.image_size
-        lens = self._lens or self._model.camera(detection.camera, float(max(size)), size)
-        return view_of(detection, self.board, lens, blur_px)
-
     def _compare(self, view: View) -> str:
         distances = [view.unlike(other) for other in self._views]
         if not self._every and distances and min(distances) < 1.0:
             nearest = int(np.argmin(distances))
-            if view.blur_px >= self._views[nearest].blur_px:
+            if view.detection.blur_px >= self._views[nearest].detection.blur_px:
                 return "like one that is there already: show the board elsewhere or tilted otherwise"
             self._views[nearest] = view
         elif len(self._views) >= PLENTY:
             return "there are views enough"
         else:
             self._views.append(view)
-        if len(self) >= self._next_fit:
-            self._fit()
         return ""
-
-    def _fit(self) -> None:
-        """Fit the lens to the views so far, and see them by it."""
-        self._next_fit = int(np.ceil(GROWTH * len(self)))
-        try:
-            fit = fit_lens(self.detections, self.board, self._model)
-        except InputError:
-            return
-        self._lens, self._fitted = fit.camera, len(self)
-        self._fitted_sd = np.sqrt(np.diag(fit.covariance)[:4])
-        again = [self._seen(view.detection, view.blur_px) for view in self._views]
-        self._views = [view for view in again if view is not None]
-
-
-def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
-    """Measure the median distance that the corners ``pixels`` (n, 2) of ``image`` travel to the ``neighbour``, px.
-
-    By optical flow (Lucas & Kanade 1981, pyramids); infinite when too few corners are found again.
-    """
-    first, second = as_grey(image), as_grey(neighbour)
-    if first.shape != second.shape:
-        return float("inf")
-    corners = pixels.astype(np.float32).reshape(-1, 1, 2)
-    none = np.empty(0, np.float32)
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, none, winSize=(15, 15), maxLevel=3)
-    seen = np.ravel(found) == 1
-    if moved is None or seen.mean() < MIN_FOUND:
-        return float("inf")
-    return float(np.median(np.hypot(*(moved - corners).reshape(-1, 2)[seen].T)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,14 @@ from rig_calibration.boards.board import Board, board_text
 from rig_calibration.boards.detector import diagnose_board
 from rig_calibration.intrinsics.calibrate import AUTO, MIN_VIEWS, calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics, report_of
-from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, ViewCollector
+from rig_calibration.intrinsics.selection import ViewCollector
 
 from ..console import GRADE_STYLE, doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
 
 MAX_EXAMINED = 400  # frames of a video in the first pass
-MAX_THOROUGH = 100  # ... in the second
+MAX_THOROUGH = 100  # ... in the second, where the first gave fewer than so many views
+FEW_VIEWS = 12
 FEW_PICTURES = 60  # so few stills were chosen by hand: all are used
 DIAGNOSED = 4  # images that are searched for another board
 PICTURE_DPI = 100
@@ -71,20 +73,16 @@ def _collected(footage: CameraFootage, board: Board, model: str) -> ViewCollecto
     few = not footage.is_video and count <= FEW_PICTURES
     views = ViewCollector(board, footage.name, model=model, every=few, thorough=few)
     for examined in (MAX_EXAMINED,) if few else (MAX_EXAMINED, MAX_THOROUGH):
-        before: np.ndarray | None = None
-        for index, (frame_index, image) in enumerate(footage):
-            if index % max(1, count // examined) == 0:
-                views.process(image, before if footage.is_video else None, frame_index)
-                done(views.examined)
-                if footage.is_video and views.enough:
-                    return views
-            before = image
-        if len(views) >= ENOUGH_VIEWS:
+        for frame_index, image in islice(footage, 0, None, max(1, count // examined)):
+            views.process(image, frame_index)
+            done(views.examined)
+            if footage.is_video and views.enough:
+                return views
+        if len(views) >= FEW_VIEWS:
             break
         views.thorough = True
     if len(views) < MIN_VIEWS:
-        step = max(1, count // DIAGNOSED)
-        some = (image for index, (_, image) in enumerate(footage) if index % step == 0)
+        some = (image for _, image in islice(footage, 0, None, max(1, count // DIAGNOSED)))
         other = next((text for text in (diagnose_board(image, board) for image in some) if text), "")
         counted = ", ".join(f"{count} {reason}" for reason, count in views.reasons.most_common())
         raise InputError(
@@ -127,12 +125,10 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
 def remarks(result: Intrinsics) -> Iterable[str]:
     """Findings, the choice of the lens model, and how many images and corners were left out."""
     yield from map(str, result.verdict.findings)
-    if result.choice is not None:
-        yield f"lens model {result.choice.model}: {result.choice.reason}"
-    images = sum(entry.whole for entry in result.left_out)
-    corners = sum(len(entry.corners) for entry in result.left_out)
-    if images or corners:
-        yield f"left out {images} images and {corners} single corners; see the report"
+    if result.choice:
+        yield f"lens model: {result.choice}"
+    if result.left_out:
+        yield f"left out {len(result.left_out)} images; see the report"
 
 
 def figures(result: Intrinsics) -> dict[str, Any]:

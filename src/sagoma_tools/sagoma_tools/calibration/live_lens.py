@@ -110,10 +110,9 @@ class LiveCamera:
         self.changed = threading.Event()
         self.error: Exception | None = None
         self.received = 0
-        self._last: Message | None = None
         self._show("waiting for images")
         self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
-        self._worker: Worker[tuple[Message, Message, int]] = Worker(  # the image before, the image, its number
+        self._worker: Worker[tuple[Message, int]] = Worker(  # the image, its number
             "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
         kind = CompressedImage if topic.endswith(COMPRESSED) else Image
@@ -125,26 +124,24 @@ class LiveCamera:
 
     def _on_image(self, message: Message) -> None:
         self.received += 1
-        if self._last is not None:
-            self._worker.put((self._last, message, self.received - 1))
-        self._last = message
+        self._worker.put((message, self.received - 1))
 
     def _fail(self, error: Exception) -> None:
         self.error = error
         self.changed.set()
 
-    def _process(self, pair: tuple[Message, Message, int]) -> None:
+    def _process(self, numbered: tuple[Message, int]) -> None:
         """Search one image, on the worker's thread."""
-        *messages, number = pair
+        message, number = numbered
         try:
-            before, image = (decode_image(message, self._topic) for message in messages)
+            image = decode_image(message, self._topic)
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        detection, reason = self._collector.process(image, before, number)
+        detection, reason = self._collector.process(image, number)
         self._show(reason or "taken")
         if self._preview.get_subscription_count():
-            picture, header = draw_preview(image, detection, reason, self._collector), pair[1].header
+            picture, header = draw_preview(image, detection, reason, self._collector), message.header
             self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
@@ -169,10 +166,8 @@ def camera_name_of(topic: str) -> str:
 def plain_line(collector: ViewCollector, last: str) -> str:
     """Return the progress as a line; ``last`` : what came of the last image."""
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
-    expected = collector.expected_sd
-    known = f", f ± {100 * expected[0]:.2f} %, centre ± {expected[1]:.1f} px" if expected else ""
     advice = collector.advice() or "enough"
-    return f"{collector.camera}: {len(collector)} views; {progress}{known}; {advice} (last image: {last})"
+    return f"{collector.camera}: {len(collector)} views; {progress}; {advice} (last image: {last})"
 
 
 TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR

@@ -11,19 +11,18 @@ from pathlib import Path
 from rich.console import Console
 
 from capture_rig.errors import InputError
-from capture_rig.lens import COEFFICIENTS
 from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import board_text, read_board
 from rig_calibration.boards.drawing import PAPER_MM, print_size_m, save_for_print
 from rig_calibration.intrinsics.calibrate import AUTO
+from rig_calibration.intrinsics.lens_model import MODELS
 
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
 from ..console import command_console
 
 INTRINSICS_FOLDER = "output/intrinsics"
-MODELS = (*COEFFICIENTS, AUTO)
 FAILED = 1
 
 
@@ -52,8 +51,8 @@ def _add_intrinsics(steps: argparse._SubParsersAction) -> None:
     parser.add_argument("sources", nargs="*", metavar="SOURCE", help=help_sources)
     parser.add_argument("--topic", help="live: a camera's image topic, such as /cam01/image_raw")
     parser.add_argument("--board", required=True, help="its YAML file, or e.g. 'checkerboard 9x6 25mm' (inner corners)")
-    help_model = f"lens: {', '.join(MODELS)} (the default: whichever predicts better)"
-    parser.add_argument("--model", choices=MODELS, default=AUTO, metavar="MODEL", help=help_model)
+    help_model = f"lens: {', '.join(MODELS)} or {AUTO} (the default: whichever predicts better)"
+    parser.add_argument("--model", choices=(*MODELS, AUTO), default=AUTO, metavar="MODEL", help=help_model)
     help_output = f"folder of the results (default: {INTRINSICS_FOLDER})"
     parser.add_argument("--output", default=INTRINSICS_FOLDER, help=help_output)
     parser.add_argument("--json", action="store_true", help="the last line is the figures as JSON")

@@ -125,7 +125,7 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
     finally:
         for finding in ended_findings(came) if came else ():
             print(f"sagoma: {finding}", file=sys.stderr)
-    return tracks, min(facts.passed.frames for facts in came.values())
+    return tracks, min(facts.frames for facts in came.values())
 
 
 def people_scores(session: Session, tracks: Mapping[int, Track]) -> PeopleScores | None:

@@ -191,7 +191,7 @@ def frame_count(session: Session) -> int:
         with Video(path) as video:
             counts.append(video.frame_count)
         if not counts[-1]:
-            counts[-1] = examine_video(path).passed.frames
+            counts[-1] = examine_video(path).frames
     return min(counts)
 
 
