@@ -154,6 +154,5 @@ class Page:
             f'<div style="font-size: 14px; min-height: 1.4em; overflow-wrap: anywhere; padding: 0 10px">{said}</div>'
         )
         if self._graph is not None:
-            troubles = self._graph.show_states()
-            self._scene.mark_cameras(troubles if self._playback is None else {})
+            self._graph.show_states()
             self._graph.show_pictures()
