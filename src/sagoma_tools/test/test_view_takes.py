@@ -20,12 +20,12 @@ from capture_rig.errors import InputError
 from motion_export.motion import UNTRACKED
 from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
 from sagoma_tools.takes.folder import TakesFolder, describe
-from sagoma_tools.view.control import ALL_FORMATS, Jobs, TakeActions
+from sagoma_tools.view.control import ALL_FORMATS, Jobs, export_files
 from sagoma_tools.view.graph_panel import states_html
 from sagoma_tools.view.page import Page
 from sagoma_tools.view.scene import FOV_RAD, GREEN, RED, Figure, Viewpoint, confidence_colours
 from sagoma_tools.view.server import Guard
-from sagoma_tools.view.takes_panel import Playback, about_html, first_pose_ns, last_frame, whole_range
+from sagoma_tools.view.takes_panel import Playback, about_html, first_pose_ns, last_frame
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.rig import ring
 
@@ -40,10 +40,9 @@ def takes(tmp_path, take_at):
 
 def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):
     sent = {}
-    work = TakeActions(takes, Jobs())
-    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__)
+    assert "walk.bvh" in export_files(takes, Jobs(), "walk", "bvh", sent.__setitem__)
     assert sent["walk.bvh"].startswith(b"HIERARCHY")
-    work.export("walk", ALL_FORMATS, sent.__setitem__)
+    export_files(takes, Jobs(), "walk", ALL_FORMATS, sent.__setitem__)
     names = set(zipfile.ZipFile(io.BytesIO(sent["walk_all_formats.zip"])).namelist())
     assert names == {path.name for path in (takes.path / "walk" / "export").iterdir()} and "walk.c3d" in names
 
@@ -94,19 +93,15 @@ def test_a_pose_is_held_over_sets_that_were_left_out(tmp_path):
 
 def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(tmp_path, take_at):
     playback = Playback.of(describe(take_at(tmp_path / "late", FRAMES, missing=range(20))))
-    assert playback.seconds == pytest.approx(
-        (FRAMES - 1) * PERIOD_NS / 1e9
-    )  # from the first set, though nobody is there
+    assert playback.seconds == pytest.approx((FRAMES - 1) * PERIOD_NS / 1e9)  # from the first set, with nobody there
     assert playback.position_s == playback.first_pose_s == pytest.approx(20 * PERIOD_NS / 1e9)
     motion = playback.motions["b0001"]
     untracked = replace(motion, states=np.where(np.arange(len(motion)) < 7, UNTRACKED, motion.states))
     assert first_pose_ns(untracked) == EPOCH_NS + 27 * PERIOD_NS
     now_s = time.monotonic() + 1000.0  # the page stood open for long before somebody came
     assert set(playback.figures_at(now_s)) == {"b0001"} and playback.position_s == playback.first_pose_s
-    playback.stand()
-    playback.figures_at(now_s + 1000.0)
-    assert playback.position_s == playback.first_pose_s
-    playback.figures_at(now_s + 1000.0 + playback.seconds)  # over the end: from the first pose again
+    for later_s in (1000.4, 1000.8, 1001.2):  # over the end: from the first pose again
+        playback.figures_at(now_s + later_s)
     assert playback.position_s == playback.first_pose_s
 
 
@@ -132,8 +127,6 @@ def test_curves_are_two_a_plot_in_degrees_with_the_signs_that_are_named(takes):
         assert sides.shape == (2, len(times_s)) and np.isfinite(sides).any(1).all()
         expected_deg = 90.0 if title == "shoulder elevation" else 0.0
         assert np.nanmax(np.abs(sides - expected_deg)) < 1e-3, title
-    assert whole_range(np.array([[12.0, np.nan], [-31.0, 3.0]])) == (-60.0, 30.0)
-    assert whole_range(np.full((2, 3), np.nan)) == (-30.0, 30.0)
 
 
 def test_what_the_page_says_of_a_take_cannot_be_markup(takes):

@@ -26,6 +26,7 @@ from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
+from ..takes.folder import TakesFolder
 from .control import Control, Deliver, Jobs, Work, add_buttons
 from .scene import Figure
 
@@ -169,28 +170,37 @@ COUNTDOWN_S = 10
 
 
 class GraphPanel:
-    """The tabs "Live" and "Cameras"; their checkboxes ``voxels`` and ``pictures`` say whether these are wanted."""
+    """The tabs "Live" and "Cameras" of the graph that ``link`` is in; recordings go into ``takes``."""
 
-    def __init__(self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, live: LiveGraph, control: Control, jobs: Jobs):
-        self._gui, self._live = gui, live
+    def __init__(
+        self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, link: RosLink, takes: TakesFolder, jobs: Jobs
+    ) -> None:
+        diagnostics = DiagnosticsTable(link.node)
+        self.live, self.control, self._gui = LiveGraph(link, diagnostics), Control(link, diagnostics, takes, jobs), gui
         with tabs.add_tab("Live"):
-            _add_controls(gui, control, jobs)
+            _add_controls(gui, self.control, jobs)
             self.voxels = gui.add_checkbox("hull voxels", False)
             self._states = gui.add_html("")  # below: its length changes, and buttons must not move under the mouse
         with tabs.add_tab("Cameras"):
-            self.pictures = gui.add_checkbox(
-                "pictures", False, hint="what each camera sees with its silhouette's outline, a few times a second"
-            )
+            hint = "what each camera sees with its silhouette's outline, a few times a second"
+            self._pictures = gui.add_checkbox("pictures", False, hint=hint)
             self._picture_folder = gui.add_folder(None)
 
-    def show_states(self) -> None:
-        """Say how every node is."""
-        self._states.content = states_html(self._live.reports(), time.monotonic())
+    def figures(self) -> dict[str, Figure]:
+        """Return everybody, and subscribe to what is wanted."""
+        self.live.watch(voxels=self.voxels.value, pictures=self._pictures.value)
+        return self.live.figures()
 
-    def show_pictures(self) -> None:
-        """Draw the cameras' newest pictures."""
-        if self.pictures.value:
-            self._live.draw_pictures(self._gui, self._picture_folder)
+    def show(self) -> None:
+        """Say how every node is; draw the cameras' newest pictures."""
+        self._states.content = states_html(self.live.reports(), time.monotonic())
+        if self._pictures.value:
+            self.live.draw_pictures(self._gui, self._picture_folder)
+
+    def close(self) -> None:
+        """Finish a recording under way; subscribe to nothing any more."""
+        self.live.watch_nothing()
+        self.control.close()
 
 
 def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:

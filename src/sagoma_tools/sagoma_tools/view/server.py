@@ -16,7 +16,6 @@ import logging
 import math
 import secrets
 import socket
-import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -188,7 +187,6 @@ FRAMING = "Content-Security-Policy", "frame-ancestors 'none'"
 """No other page may show ours in a frame, where a click meant for theirs would press our buttons."""
 HANDSHAKE_FAILED = "opening handshake failed"
 """How websockets calls a connection that asks for nothing: browsers open such in advance."""
-_patching = threading.Lock()
 _log = logging.getLogger("sagoma.view")
 
 
@@ -205,7 +203,7 @@ def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
         return None if server is None else server.gui._gui_input_handle_from_uuid.get(uuid)
 
     listening = listening_socket(guard.host, port)
-    with _patching, _serving(guard, listening, control_of) as served:
+    with _serving(guard, listening, control_of) as served:
         server = viser.ViserServer(host=guard.host, port=listening.getsockname()[1], verbose=False)
     if not served:
         server.stop()
