@@ -8,7 +8,7 @@ import pytest
 from evaluation_tracks import track_of
 
 from capture_rig.video import Video
-from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, unbridged, write_overlay
+from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, write_overlay
 from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from sagoma_tools.overlays import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
 
@@ -33,11 +33,6 @@ def test_every_plot_is_written_and_without_a_truth_the_angles_alone(evaluated, t
         assert cv2.imread(str(path)).std() > 5.0  # there is something on it
     session = replace(evaluated.session, truth=None)
     assert [path.stem for path in draw_plots(tmp_path, evaluate_track(session, FRAMES, evaluated.track))] == ["angles"]
-
-
-def test_no_line_bridges_missing_frames_or_a_full_turn():
-    degrees = unbridged(np.array([0, 1, 2, 9, 10]), np.array([170.0, 175.0, -179.0, -170.0, -160.0]))
-    np.testing.assert_array_equal(np.isnan(degrees), [False, False, True, True, False])
 
 
 def test_the_caption_says_frame_time_state_and_error(evaluated):

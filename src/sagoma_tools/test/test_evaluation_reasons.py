@@ -32,19 +32,6 @@ def test_the_number_in_a_cameras_name_is_none_but_the_way_to_step_may_differ():
     assert [count for _, count in rank_reasons(sets)] == [2, 1]
 
 
-def test_a_set_counts_once_for_what_is_said_of_several_bodies_and_parts():
-    of_bodies = "body 0: no adult's height: 0.88 m; body 2: no adult's height: 0.91 m; body 3: no hull"
-    of_limbs = "left arm: 3 of 20 rays show its forearm; right leg: its rays are gone"
-    turned = "no place in the volume is seen by 3 cameras; turn cam03 down"  # one sentence
-    assert dict(rank_reasons([(of_bodies,), (of_limbs, turned), ()])) == {
-        "no adult's height: 0.91 m": 1,
-        "no hull": 1,
-        "left arm: 3 of 20 rays show its forearm": 1,
-        "right leg: its rays are gone": 1,
-        turned: 1,
-    }
-
-
 def test_the_most_frequent_reasons_are_said():
     sets = [(WATCHED.format(0.5),)] * 9 + [("nobody upright",)] * 2 + [("anything",), ("no hull",)]
     said = f'of 13 frame sets the tracker said "{WATCHED.format(0.5)}" in 9, "nobody upright" in 2, "anything" in 1'

@@ -43,7 +43,7 @@ def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     assert set(run.states().values()) == {"active"}
     usage = run.processes.usage()
     assert usage.keys() == {"hull_server", "cam01", "cam02"}
-    assert all(used.peak_mib >= used.resident_mib > 10 and used.cpu_s > 0 for used in usage.values())
+    assert all(used.resident_mib > used.own_mib > 10 and used.cpu_s > 0 for used in usage.values())
     assert run.diagnostics.wait_for(["/cam01/camera_client"], timeout_s=30)
     report = run.diagnostics.report("/cam01/camera_client")
     assert report.values["rate_hz"] == "60.0" and report.losses() == {"dropped": 7}

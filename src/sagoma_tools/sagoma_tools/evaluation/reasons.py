@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray
 
 from capture_rig.errors import InputError
-from mocap_packets.fit import PART_NAMES
 from mocap_packets.state import Tracking
 from sagoma_ros.messages import values_of
 
@@ -24,9 +23,6 @@ FIT_TOPIC, STATE = "/icp/fit", "state"
 SHOWN = 3
 VARYING = re.compile(r": step .*|(?<![\w.])[+-]?\d+(?:\.\d+)?")
 """What may differ between two sets of which the same is said: which way to step, and numbers but a camera's name's."""
-NEXT = re.compile(rf"; (?=(?:body \d+|{'|'.join(PART_NAMES)}): )")
-"""Between what is said of one body, or of one part of the body, and of the next."""
-OF_A_BODY = re.compile(r"^body \d+: ")
 REMEDY = (
     "What to do about each: docs/tracking.md, 'Why it refuses'. Of footage and rig, sagoma doctor --session SESSION "
     "says what is wrong."
@@ -54,9 +50,8 @@ def rank_reasons(sets: Sequence[Sequence[str]]) -> list[tuple[str, int]]:
     frequent first."""
     texts: dict[str, list[str]] = defaultdict(list)
     for reasons in sets:
-        clauses = [OF_A_BODY.sub("", clause) for reason in reasons for clause in NEXT.split(reason)]
-        for kind, clause in {VARYING.sub("#", clause): clause for clause in clauses}.items():
-            texts[kind].append(clause)
+        for kind, reason in {VARYING.sub("#", reason): reason for reason in reasons}.items():
+            texts[kind].append(reason)
     return [(same[len(same) // 2], len(same)) for same in sorted(texts.values(), key=len, reverse=True)]
 
 

@@ -38,14 +38,8 @@ def print_scores(console: Console, scores: Scores) -> None:
     table.add_row("all", f"{of_all.rmse_mm:.1f}", *_cells(of_all), style="bold")
     console.print(table)
     console.print(
-        f"{scores.tracked} of {scores.frames} frames tracked; mean error {of_all.mean_mm:.1f} mm, median "
-        f"{of_all.median_mm:.1f}, 95 % below {of_all.p95_mm:.0f}; {of_all.mean_mm_without_offset:.1f} mm without "
-        f"constant offsets; {100 * of_all.over_200mm:.1f} % of the frames have a point over 200 mm"
-    )
-    console.print(
-        f"covariance: {100 * of_all.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
-        f"{100 * of_all.inside_95_without_offset:.0f} % without constant offsets; NEES {of_all.nees:.1f}, where 3 is "
-        "consistent"
+        f"{scores.tracked} of {scores.frames} frames tracked; {100 * of_all.inside_95_without_offset:.0f} % of the "
+        "errors inside their 95 % ellipsoid without constant offsets; NEES is 3 where the covariance is consistent"
     )
     console.print(
         f"doubt: of {calls.wrong.sum()} parts of the body with a point over 200 mm, called doubtful or lost: "
@@ -80,9 +74,7 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
     if evaluated.scores is not None:
         print_scores(console, evaluated.scores)
     else:
-        console.print(
-            f"{len(evaluated.track)} of {evaluated.frames} frames have a body; there is no truth to compare with"
-        )
+        console.print(f"{len(evaluated.track)} of {evaluated.frames} frames have a body; there is no truth")
     states = ", ".join(f"{state} in {count} frames" for state, count in evaluated.states.items())
     switches = "" if evaluated.switches is None else f"; {evaluated.switches} identity switches"
     console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}{switches}")
@@ -147,12 +139,12 @@ def print_nodes(
     cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Print one row a process and a node: memory and its peak, processor time a frame set; results."""
-    table = plain_table("nodes", ["node"], ["resident MiB", "peak MiB", "cpu ms a set", "results"])
+    """Print one row a process and a node: memory, processor time a frame set; results."""
+    table = plain_table("nodes", ["node"], ["resident MiB", "cpu ms a set", "results"])
     results = {label_of(name): report.get("results", "") for name, report in diagnostics.items()}
     for label in dict.fromkeys([*usage, *results]):
         used = usage.get(label)  # None of a node that shares its process
-        memory = ("", "") if used is None else (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}")
+        memory = "" if used is None else f"{used.resident_mib:.0f}"
         cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
-        table.add_row(label, *memory, cpu, results.get(label, ""))
+        table.add_row(label, memory, cpu, results.get(label, ""))
     console.print(table)
