@@ -123,15 +123,10 @@ class Control:
 
     def reset(self) -> str:
         """Forget all persons, and look for them anew."""
-        owners = owners_of(self._link.node, RESET, RESET_TYPE)
-        requests = {f"{owner}/{RESET}": Trigger.Request() for owner in sorted(owners)}
-        if not requests:
-            return "no tracker is in the graph"
-        replies = call_all(self._link.node, Trigger, requests, ANSWER_S)
-        return "; ".join(
-            f"{service.rpartition('/')[0]}: {reply.message if reply is not None else 'did not answer'}"
-            for service, reply in replies.items()
-        )
+        requests = {owner: Trigger.Request() for owner in sorted(owners_of(self._link.node, RESET, RESET_TYPE))}
+        replies = call_all(self._link.node, Trigger, requests, ANSWER_S, suffix=f"/{RESET}")
+        said = [f"{owner}: {reply.message if reply else 'did not answer'}" for owner, reply in replies.items()]
+        return "; ".join(said) or "no tracker is in the graph"
 
     def learn_background(self, countdown_s: int) -> str:
         """Count down while the person leaves the room, then train every camera."""
