@@ -35,8 +35,7 @@ from sagoma_tools.recording.reader import (
     read_frame_sets,
     read_messages,
 )
-from sagoma_tools.recording.recovery import recover_bag
-from sagoma_tools.recording.writer import CHUNK_BYTES, OFFERED, SYNC_S, BagWriter
+from sagoma_tools.recording.writer import CHUNK_BYTES, OFFERED, SYNC_S, BagWriter, recover_bag
 
 PERIOD_NS = 16_666_667
 EPOCH_NS = 1_700_000_000_123_456_789

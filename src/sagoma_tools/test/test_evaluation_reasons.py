@@ -10,8 +10,7 @@ from icp_tracker.icp_node import fit_message
 from icp_tracker.tracker import fits_nothing
 from mocap_packets.fit import Fit
 from sagoma_tools.cli import main
-from sagoma_tools.evaluation.reasons import explain, rank_reasons, reasons_of_bag
-from sagoma_tools.evaluation.track import tracks_from_bag
+from sagoma_tools.evaluation.track import explain, rank_reasons, reasons_of_bag, tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
 
 WATCHED = "somebody is here: watched for {:.1f} of 1.0 s"

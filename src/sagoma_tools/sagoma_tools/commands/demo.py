@@ -26,9 +26,9 @@ from ..arguments import add_settings_argument, add_start_argument, next_steps, p
 from ..console import INTERRUPTED, command_console, doing
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
-from ..evaluation.reasons import REMEDY, explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_nodes, print_scores
+from ..evaluation.track import REMEDY, explain
 from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 

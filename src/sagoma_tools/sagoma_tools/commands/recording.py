@@ -29,7 +29,6 @@ from ..graph.topics import (
 )
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder
-from ..recording.recovery import recover_bag
 from ..recording.replayer import (
     CLOCK_HZ,
     InputPublishers,
@@ -41,7 +40,7 @@ from ..recording.replayer import (
     timed_by_exposures,
     waiting,
 )
-from ..recording.writer import require_new
+from ..recording.writer import recover_bag, require_new
 from ..takes.measure import finish_take
 
 

@@ -26,8 +26,7 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from .live_inputs import FootageInput, StudioInput
-from .reasons import reasons_of_bag
-from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
+from .track import SessionClock, Track, clock_of_bag, reasons_of_bag, silhouette_stamps, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track, main_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
