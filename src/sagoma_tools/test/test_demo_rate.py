@@ -65,8 +65,8 @@ def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, tmp_path, monkeypat
     told = 'of 60 frame sets the tracker said "cam02 does not see your feet: turn cam02 down" in 58, '
     reasons = [("cam02 does not see your feet: turn cam02 down",)] * 58 + [("no hull",)] * 2
     nobody = SimpleNamespace(
-        bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=60.0, spread_ms=0.0,
-        speed=1.0, track=[], usage={}, cpu_ms_per_set={}, diagnostics={}, ages_ms={},
+        bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=60.0,
+        speed=1.0, track=[], usage={}, diagnostics={}, ages_ms={},
         session=SimpleNamespace(fps=60.0), reasons=reasons,
     )  # fmt: skip
     monkeypatch.setattr(demo, "FootageInput", lambda session, rate: None)

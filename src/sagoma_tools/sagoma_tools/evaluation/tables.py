@@ -133,18 +133,11 @@ def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -
     console.print(f"95 % within {budget_text(p95_ms, hz)}")
 
 
-def print_nodes(
-    console: Console,
-    usage: Mapping[str, Usage],
-    cpu_ms_per_set: Mapping[str, float],
-    diagnostics: Mapping[str, Mapping[str, str]],
-) -> None:
-    """Print one row a process and a node: memory, processor time a frame set; results."""
-    table = plain_table("nodes", ["node"], ["resident MiB", "cpu ms a set", "results"])
+def print_nodes(console: Console, usage: Mapping[str, Usage], diagnostics: Mapping[str, Mapping[str, str]]) -> None:
+    """Print one row a process and a node: memory; results."""
+    table = plain_table("nodes", ["node"], ["resident MiB", "results"])
     results = {label_of(name): report.get("results", "") for name, report in diagnostics.items()}
     for label in dict.fromkeys([*usage, *results]):
-        used = usage.get(label)  # None of a node that shares its process
-        memory = "" if used is None else f"{used.resident_mib:.0f}"
-        cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
-        table.add_row(label, memory, cpu, results.get(label, ""))
+        memory = f"{usage[label].resident_mib:.0f}" if label in usage else ""  # a node may share its process
+        table.add_row(label, memory, results.get(label, ""))
     console.print(table)
