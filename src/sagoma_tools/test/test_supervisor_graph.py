@@ -159,15 +159,6 @@ def test_children_end_on_sigint_or_are_killed_with_what_they_started(tmp_path, t
         started.kill()
 
 
-def test_death_is_told_once_with_the_log_complete(tmp_path):
-    told = threading.Event()
-    child = start(tmp_path, "mortal", "print('first'); print('last'); raise SystemExit(5)", lambda child: told.set())
-    assert told.wait(30)
-    assert child.log_tail(1) == "last" and child.returncode == 5 and child.usage() is None
-    (ended,) = stop_children([child], grace_s=1.0)
-    assert (ended.trouble, ended.returncode) == (ALREADY_DEAD, 5)
-
-
 def wait_for_text(child, text):
     """The child's log, once it holds ``text``."""
     until(lambda: text in child.log.read_text())

@@ -22,14 +22,27 @@ NAME_ABOVE = np.array([0.0, 0.0, 0.1])
 """Of a name, m above a camera's centre, or a person's point of the head."""
 CAMERA_COLOUR = 130, 145, 185
 FLOOR_M, CELL_M, FLOOR_COLOUR = 6.0, 0.5, (96, 102, 114)
+FOV_RAD = np.deg2rad(50.0)
+"""Vertical: a person is not distorted at the edges, and a room of four metres fits from five away."""
+AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-22.5), np.deg2rad(15.0)
+LEVEL = np.cos(ELEVATION_RAD)
+BACKWARD = np.array([LEVEL * np.cos(AZIMUTH_RAD), LEVEL * np.sin(AZIMUTH_RAD), np.sin(ELEVATION_RAD)])
+"""Whence a view looks: from above, and from the front to the right, between the cameras of a ring of four or eight."""
+ROOM = np.array([[-1.4, -1.4, 0.0], [1.4, 1.4, 2.2]])
+"""Corners of the room that is shown while no rig is known, m."""
+PERSON_M = 1.2
+"""Radius about a person's middle that is shown: of somebody tall with stretched arms."""
 
 
 class RoomScene:
-    """Draws into a server's scene; everything is sent once and then moved."""
+    """Draws into a server's scene; everything is sent once and then moved.
+
+    Views show the rig's volume and cameras or, once somebody is tracked, the persons, and are the browsers' own then.
+    """
 
     def __init__(self, server: viser.ViserServer) -> None:
         scene = self._scene = server.scene
-        self._view = Viewpoint(server)
+        self._server = server
         self._people: dict[str, DrawnPerson] = {}
         self._cameras: list[viser.SceneNodeHandle] = []
         scene.set_up_direction("+z")
@@ -38,10 +51,14 @@ class RoomScene:
         scene.add_line_segments("/floor", floor_lines(), FLOOR_COLOUR, thickness=1.0, thickness_units="screen")
         nothing = np.empty((0, 3), np.float32)
         self._voxels = scene.add_point_cloud("/hull", nothing, VOXEL_COLOUR, point_size=VOXEL_M, precision="float32")
+        server.initial_camera.fov = FOV_RAD
+        self.show_rig(None)
 
     def show_rig(self, rig: Rig | None) -> None:
-        """Draw every camera as its view's pyramid, with its name; without a rig none. Views look at the rig."""
-        self._view.show_rig(rig)
+        """Draw every camera as its view's pyramid, with its name; without a rig none."""
+        shown = [*ROOM] if rig is None else [rig.volume.low, rig.volume.high, *(c.centre_world for c in rig.cameras)]
+        self._look_at(np.array(shown))
+        self._on_people = False
         while self._cameras:
             self._cameras.pop().remove()
         for camera in rig.cameras if rig is not None else ():
@@ -61,8 +78,11 @@ class RoomScene:
             self._cameras += [frustum, label]
 
     def show(self, figures: Mapping[str, Figure]) -> None:
-        """Draw these persons, by id, and nobody else; views look at them once somebody is tracked."""
-        self._view.show_people(figures)
+        """Draw these persons, by id, and nobody else."""
+        tracked = [figure.points_world for figure in figures.values() if figure.state != "lost"]
+        if tracked and not self._on_people:
+            self._on_people = True
+            self._look_at(np.concatenate(tracked), PERSON_M)
         for body_id in [body_id for body_id in self._people if body_id not in figures]:
             self._people.pop(body_id).remove()
         for body_id, figure in figures.items():
@@ -75,6 +95,16 @@ class RoomScene:
         """Draw the hull's voxels (m, 3), or none."""
         points = np.empty((0, 3)) if points_world is None else points_world
         self._voxels.points = points.astype(np.float32)
+
+    def _look_at(self, points_world: Array, radius_m: float = 0.0) -> None:
+        """Show the ball about these points (n, 3), of this radius at least, in all views and in those to come."""
+        middle = 0.5 * (points_world.min(0) + points_world.max(0))
+        radius_m = max(radius_m, np.linalg.norm(points_world - middle, axis=1).max())
+        place = middle + radius_m / np.sin(0.5 * FOV_RAD) * BACKWARD
+        self._server.initial_camera.position, self._server.initial_camera.look_at = place, middle
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.position, client.camera.look_at = place, middle
 
 
 def floor_lines() -> Array:
@@ -142,51 +172,3 @@ def confidence_colours(figure: Figure) -> Array:
         doubt = np.ones_like(doubt)
     low = GREEN + (AMBER - GREEN) * np.minimum(2.0 * doubt, 1.0)[:, None]
     return (low + (RED - AMBER) * np.maximum(2.0 * doubt - 1.0, 0.0)[:, None]).astype(np.uint8)
-
-
-# views ----------------------------------------------------------------------------------------------------------------
-
-
-FOV_RAD = np.deg2rad(50.0)
-"""Vertical: a person is not distorted at the edges, and a room of four metres fits from five away."""
-AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-22.5), np.deg2rad(15.0)
-LEVEL = np.cos(ELEVATION_RAD)
-BACKWARD = np.array([LEVEL * np.cos(AZIMUTH_RAD), LEVEL * np.sin(AZIMUTH_RAD), np.sin(ELEVATION_RAD)])
-"""Whence a view looks: from above, and from the front to the right, between the cameras of a ring of four or eight."""
-ROOM = np.array([[-1.4, -1.4, 0.0], [1.4, 1.4, 2.2]])
-"""Corners of the room that is shown while no rig is known, m."""
-PERSON_M = 1.2
-"""Radius about a person's middle that is shown: of somebody tall with stretched arms."""
-
-
-class Viewpoint:
-    """Places browsers' views: the rig's volume fills the screen or, once somebody is tracked, the persons. From then on
-    they are the browsers' own."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
-        server.initial_camera.fov = FOV_RAD
-        self.show_rig(None)
-
-    def show_rig(self, rig: Rig | None) -> None:
-        """Look at its volume and cameras, until somebody is tracked."""
-        shown = [*ROOM] if rig is None else [rig.volume.low, rig.volume.high, *(c.centre_world for c in rig.cameras)]
-        self._on_people = False
-        self._show(np.array(shown))
-
-    def show_people(self, figures: Mapping[str, Figure]) -> None:
-        """Look at who is tracked, the first time that somebody is."""
-        tracked = [figure.points_world for figure in figures.values() if figure.state != "lost"]
-        if tracked and not self._on_people:
-            self._on_people = True
-            self._show(np.concatenate(tracked), PERSON_M)
-
-    def _show(self, points_world: Array, radius_m: float = 0.0) -> None:
-        """Show the ball about these points (n, 3), of this radius at least, in all views and in those to come."""
-        look_at = 0.5 * (points_world.min(0) + points_world.max(0))
-        radius_m = max(radius_m, np.linalg.norm(points_world - look_at, axis=1).max())
-        position = look_at + radius_m / np.sin(0.5 * FOV_RAD) * BACKWARD
-        self._server.initial_camera.position, self._server.initial_camera.look_at = position, look_at
-        for client in self._server.get_clients().values():
-            with client.atomic():
-                client.camera.position, client.camera.look_at = position, look_at
