@@ -111,7 +111,7 @@ def test_graph_goes_on_when_a_camera_refuses_and_another_dies_with_its_last_word
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts(supervise, monkeypatch, tmp_path, capsys):
     run = supervise(tiny("hull_server"), camera("cam01"))
     looked = "sagoma_tools.graph.lifecycle_client.settled"  # until there is one, however busy the machine
-    monkeypatch.setattr(looked, lambda look, expect, wait_s: settled(look, 1, 60.0))
+    monkeypatch.setattr(looked, lambda look, expect, wait_s: settled(lambda: look() & {"/hull_server"}, 1, 60.0))
     assert main(["up", "--rig", str(RING4), "--run-folder", str(tmp_path / "second")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("sagoma: /hull_server run already in this ROS domain. End that graph, or give")

@@ -144,7 +144,7 @@ def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     """Print everything that the run measured."""
     print_nodes(console, live.usage, live.diagnostics)
     if live.ages_ms:
-        print_ages(console, live.ages_ms, live.hz_held)
+        print_ages(console, live.ages_ms)
     console.print(
         f"{live.sets} frame sets sent, {live.answered} answered by the EKF ({live.sets_per_s:.0f} a second; the "
         f"footage has {live.session.fps:.0f}), {live.incomplete} incomplete"

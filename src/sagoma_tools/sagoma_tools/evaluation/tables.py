@@ -11,7 +11,6 @@ from rich.table import Table
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..console import plain_table
-from ..graph.diagnostics_table import budget_text
 from ..graph.processes import Usage
 from ..graph.ros_link import label_of
 from .scores import AngleScores, PointScores, Scores
@@ -123,14 +122,12 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
     console.print(table)
 
 
-def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -> None:
-    """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
+def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray]) -> None:
+    """Print the age of frame sets at each point, since exposure."""
     table = plain_table("since exposure", ["point"], ["p50 ms", "p95 ms", "max ms"])
     for name, values in ages_ms.items():
         table.add_row(name.removesuffix("_ms"), *(f"{v:.1f}" for v in np.percentile(values, [50, 95, 100])))
     console.print(table)
-    p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
-    console.print(f"95 % within {budget_text(p95_ms, hz)}")
 
 
 def print_nodes(console: Console, usage: Mapping[str, Usage], diagnostics: Mapping[str, Mapping[str, str]]) -> None:
