@@ -161,15 +161,15 @@ PATIENCE_S = 240.0
 VIEW = "window.__viserMutable.camera.position.toArray()"
 """JavaScript: where the view stands, m."""
 PERSON = """(() => {
-    const found = [], {scene, camera} = window.__viserMutable;
-    scene?.traverse(node => { if (node.matricesTexture) found.push(node); });
-    if (!found.length) return {fills: false, y: NaN};
-    const places = found[0].matricesTexture.image.data, joints = [...Array(15).keys()].map(k => 16 * k + 12);
-    const shown = joints.map(k => camera.position.clone().fromArray(places, k))
-        .map(place => place.applyMatrix4(found[0].matrixWorld).project(camera));
-    const heights = shown.map(place => place.y);
-    const seen = shown.every(place => Math.max(Math.abs(place.x), Math.abs(place.y), Math.abs(place.z)) < 1);
-    return {fills: seen && Math.max(...heights) - Math.min(...heights) > 0.7, y: places[13]};
+    let joints;
+    const {scene, camera} = window.__viserMutable;
+    scene?.traverse(node => { if (node.geometry?.attributes.position?.count === 15) joints = node; });
+    if (!joints) return {fills: false, y: NaN};
+    const place = joints.geometry.attributes.position, shown = [...Array(15).keys()].map(k =>
+        camera.position.clone().fromBufferAttribute(place, k).applyMatrix4(joints.matrixWorld).project(camera));
+    const heights = shown.map(each => each.y);
+    const seen = shown.every(each => Math.max(Math.abs(each.x), Math.abs(each.y), Math.abs(each.z)) < 1);
+    return {fills: seen && Math.max(...heights) - Math.min(...heights) > 0.7, y: place.getY(0)};
 })()"""
 """JavaScript: y of the person's first joint, m, and whether all joints are on the screen, over a third of it."""
 

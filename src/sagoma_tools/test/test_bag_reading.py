@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-import types
 
 import numpy as np
 import pytest
@@ -31,14 +30,11 @@ from sagoma_tools.recording.reader import (
     bag_digest,
     canonical_bytes,
     first_difference,
-    header_stamp_ns,
     input_topics,
     read_frame_sets,
     read_messages,
-    read_provenance,
 )
-from sagoma_tools.recording.recovery import recover_bag
-from sagoma_tools.recording.writer import CHUNK_BYTES, OFFERED, RESERVE_BYTES, SYNC_S, BagWriter
+from sagoma_tools.recording.writer import CHUNK_BYTES, OFFERED, SYNC_S, BagWriter, recover_bag
 
 PERIOD_NS = 16_666_667
 EPOCH_NS = 1_700_000_000_123_456_789
@@ -107,12 +103,6 @@ def test_frame_sets_pair_cameras_by_stamp_and_name_the_missing_one(two_camera_ba
             assert [m.topic.split("/", 2)[2] for m in messages] == ["camera_info", "silhouette/compressed"]
             assert {m.stamp_ns for m in messages} == {frame_set.stamps_ns[camera]}
             assert messages[1].data[-2] == k  # the mask of this very frame
-
-
-def test_header_stamp_is_read_without_deserializing():
-    assert header_stamp_ns(joint_state(EPOCH_NS, 0.5)) == EPOCH_NS
-    big_endian = b"\x00\x00\x00\x00" + struct.pack(">iI", 7, 9)
-    assert header_stamp_ns(big_endian) == 7_000_000_009
 
 
 def test_digest_is_of_length_and_bytes_of_each_message_and_the_first_difference_names_message_and_byte(tmp_path):
@@ -190,11 +180,10 @@ LARGE = 1 << 16  # bytes of a message that the headers and the index of a file d
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A file system with room for the reserve of a bag and 4 MiB of it."""
+    """A file system of 4 MiB."""
     mount = tmp_path / "disk"
     mount.mkdir()
-    size = RESERVE_BYTES + (4 << 20)
-    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "sagoma-test", str(mount)]
+    command = ["mount", "-t", "tmpfs", "-o", "size=4M", "sagoma-test", str(mount)]
     if os.geteuid() != 0 or subprocess.run(command, capture_output=True).returncode != 0:
         pytest.skip("a small disk cannot be mounted here: that needs root and CAP_SYS_ADMIN")
     yield mount
@@ -253,30 +242,22 @@ def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_pat
     assert SYNC_S <= 0.5
 
 
-def test_a_disk_without_room_for_a_bag_is_refused_at_once(small_disk):
-    (small_disk / "other").write_bytes(bytes(6 << 20))
-    with pytest.raises(InputError, match=r"no bag can be written \(No space left on device\)\. Free space"):
-        BagWriter(small_disk / "bag")
-    assert not (small_disk / "bag").exists()
-
-
 def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path, monkeypatch):
-    def fail(data):
+    def fail(*arguments):
         raise OSError(errno.EIO, "Input/output error")
 
     writer = opened(tmp_path / "bag")
     for number in range(6):  # the first chunk is closed by its size
         writer.write(TOPIC, number, b"\0\1\0\0" + bytes(CHUNK_BYTES // 4))
-    monkeypatch.setattr(writer._file, "_file", types.SimpleNamespace(write=fail, fileno=writer._file._file.fileno))
-    with pytest.raises(InputError, match="the recording has ended"):
+    monkeypatch.setattr(writer._mcap, "add_message", fail)
+    with pytest.raises(InputError, match=r"the recording has ended \(Input/output error\).*sagoma recover"):
         for number in range(6, 20):
             writer.write(TOPIC, number, RECORDED + bytes(CHUNK_BYTES // 4))
-    with pytest.raises(InputError, match=r"end cannot be written .*sagoma recover"):
-        writer.close()
+    writer.close()
     assert 4 <= recover_bag(tmp_path / "bag", tmp_path / "mended").counts[TOPIC] <= 6
 
 
-def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk, link):
+def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk, link, tmp_path):
     publisher = link.node.create_publisher(String, TOPIC, LATCHED)
     command = [sys.executable, "-m", "sagoma_tools.cli", "record", str(small_disk / "bag")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -288,28 +269,10 @@ def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_
         said, told = process.communicate(timeout=60.0)
     assert process.returncode == 1, told
     assert "the recording has ended (No space left on device)" in told and "Traceback" not in told
-    saved = int(next(line.split()[0] for line in said.splitlines() if TOPIC in line))
+    counted = int(next(line.split()[0] for line in said.splitlines() if TOPIC in line))
     assert f"{sum(int(line.split()[0]) for line in said.splitlines() if line.split()[0].isdigit())} messages" in told
-    assert len(list(read_messages(small_disk / "bag", TOPIC.__eq__))) == saved > 0
-    assert "No space left" in read_provenance(small_disk / "bag")["ended_early"]
-    assert not list((small_disk / "bag").glob(".*"))
-
-
-def test_messages_of_a_bag_have_a_checksum(tmp_path):
-    """A flipped byte is found, and costs the messages of its chunk alone."""
-    with opened(tmp_path / "bag") as writer:
-        for number in range(40):
-            writer.write(TOPIC, number, serialize_message(String(data=f"{number:03d}" * 30_000)))
-    mcap = tmp_path / "bag" / "bag.mcap"
-    content = bytearray(mcap.read_bytes())
-    content[content.index(b"017017") + 1000] ^= 1
-    mcap.write_bytes(content)
-    with pytest.raises(InputError, match=r"checksum.*sagoma recover"):
-        list(read_messages(tmp_path / "bag"))
-    recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
-    read = [message.log_ns for message in read_messages(tmp_path / "mended")]
-    assert recovery.damaged_chunks == 1 and "1 damaged chunks" in str(recovery)
-    assert 17 not in read and len(read) >= 25 and read == sorted(read)
+    saved = recover_bag(small_disk / "bag", tmp_path / "mended").counts[TOPIC]
+    assert 0 < saved <= counted and saved * len(text) > 2 << 20
 
 
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "": CompressionType.NONE}
@@ -345,5 +308,6 @@ def test_of_a_bag_cut_or_damaged_in_a_chunk_that_chunk_alone_is_lost(tmp_path, c
     assert read == messages[:8] and recovery.damaged_chunks == 0 and recovery.unread_bytes > 0
     place = whole.index(messages[5][1000:1020])  # random bytes: no compression changes them
     mcap.write_bytes(whole[:place] + bytes(4) + whole[place + 4 :])
-    assert recover_bag(tmp_path / "bag", tmp_path / "repaired").damaged_chunks == 1
+    recovery = recover_bag(tmp_path / "bag", tmp_path / "repaired")
+    assert recovery.damaged_chunks == 1 and "1 damaged chunks" in str(recovery)
     assert [m.data for m in read_messages(tmp_path / "repaired")] == messages[:4] + messages[8:]

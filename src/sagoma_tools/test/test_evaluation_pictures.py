@@ -8,7 +8,7 @@ import pytest
 from evaluation_tracks import track_of
 
 from capture_rig.video import Video
-from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, unbridged, write_overlay
+from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, write_overlay
 from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from sagoma_tools.overlays import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
 
@@ -33,11 +33,6 @@ def test_every_plot_is_written_and_without_a_truth_the_angles_alone(evaluated, t
         assert cv2.imread(str(path)).std() > 5.0  # there is something on it
     session = replace(evaluated.session, truth=None)
     assert [path.stem for path in draw_plots(tmp_path, evaluate_track(session, FRAMES, evaluated.track))] == ["angles"]
-
-
-def test_no_line_bridges_missing_frames_or_a_full_turn():
-    degrees = unbridged(np.array([0, 1, 2, 9, 10]), np.array([170.0, 175.0, -179.0, -170.0, -160.0]))
-    np.testing.assert_array_equal(np.isnan(degrees), [False, False, True, True, False])
 
 
 def test_the_caption_says_frame_time_state_and_error(evaluated):
@@ -67,19 +62,6 @@ def test_limbs_are_drawn_where_the_camera_sees_them_and_truth_over_them(toured):
     np.testing.assert_allclose(picture[y, x], LEFT_BGR, atol=30)  # lines have soft edges
     draw_skeleton(picture, camera, points, TRUTH_BGR)
     np.testing.assert_allclose(picture[y, x], TRUTH_BGR, atol=30)
-
-
-def test_a_window_puts_the_body_into_the_middle_at_the_same_places(toured):
-    camera, points = toured.rig.cameras[0], toured.truth.points_world[0]
-    window = Window.around(camera, points, 300)
-    pixels = (camera.project(points) - window.origin_px) * window.scale
-    assert pixels.min() > 20.0
-    assert pixels.max() < 280.0
-    image = np.zeros((camera.height, camera.width), np.uint8)
-    x, y = np.round(camera.project(points)[1]).astype(int)
-    image[y - 3 : y + 4, x - 3 : x + 4] = 255  # around the head
-    bright = np.argwhere(window.cut(image) > 128).mean(0)[::-1]
-    np.testing.assert_allclose(bright, pixels[1], atol=2.0 * window.scale)
 
 
 def test_a_body_behind_the_camera_is_drawn_nowhere_and_the_window_is_the_whole_image(toured):

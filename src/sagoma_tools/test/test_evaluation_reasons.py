@@ -10,8 +10,7 @@ from icp_tracker.icp_node import fit_message
 from icp_tracker.tracker import fits_nothing
 from mocap_packets.fit import Fit
 from sagoma_tools.cli import main
-from sagoma_tools.evaluation.reasons import explain, rank_reasons, reasons_of_bag
-from sagoma_tools.evaluation.track import tracks_from_bag
+from sagoma_tools.evaluation.track import explain, rank_reasons, reasons_of_bag, tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
 
 WATCHED = "somebody is here: watched for {:.1f} of 1.0 s"
@@ -30,19 +29,6 @@ def test_the_number_in_a_cameras_name_is_none_but_the_way_to_step_may_differ():
         (BELOW.replace("0.4 m away from", "0.7 m towards"),),
     ]
     assert [count for _, count in rank_reasons(sets)] == [2, 1]
-
-
-def test_a_set_counts_once_for_what_is_said_of_several_bodies_and_parts():
-    of_bodies = "body 0: no adult's height: 0.88 m; body 2: no adult's height: 0.91 m; body 3: no hull"
-    of_limbs = "left arm: 3 of 20 rays show its forearm; right leg: its rays are gone"
-    turned = "no place in the volume is seen by 3 cameras; turn cam03 down"  # one sentence
-    assert dict(rank_reasons([(of_bodies,), (of_limbs, turned), ()])) == {
-        "no adult's height: 0.91 m": 1,
-        "no hull": 1,
-        "left arm: 3 of 20 rays show its forearm": 1,
-        "right leg: its rays are gone": 1,
-        turned: 1,
-    }
 
 
 def test_the_most_frequent_reasons_are_said():

@@ -18,9 +18,9 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
 from sagoma_ros.qos import LATCHED
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, camera_topics
+from sagoma_tools.graph.topics import LOSSLESS, camera_topics
 from sagoma_tools.recording.reader import BagMessage, read_messages, read_provenance
-from sagoma_tools.recording.recorder import Recorder, has_header
+from sagoma_tools.recording.recorder import Recorder
 from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
 
 CAMERAS = ("cam01", "cam02")
@@ -211,10 +211,3 @@ def test_cameras_and_persons_but_the_first_are_found_as_they_appear(link, far_li
     assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)
     assert recorder.wait_for_count(bodies[1], 1, PATIENCE_S)
     assert set(recorder.close()) == {t.name for camera in CAMERAS for t in camera_topics(camera)} | {bodies[1]}
-
-
-def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
-    stamped = {topic.name for topic in OUTPUT_TOPICS if has_header(topic.msgtype)}
-    unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
-    texts = {"/icp/body", "/icp/bodies", "/mocap/point_names", "/mocap/robot_description"}
-    assert unstamped == texts | {"/mocap/skeleton", "/mocap/state"}

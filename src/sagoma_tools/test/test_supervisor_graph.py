@@ -43,7 +43,7 @@ def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     assert set(run.states().values()) == {"active"}
     usage = run.processes.usage()
     assert usage.keys() == {"hull_server", "cam01", "cam02"}
-    assert all(used.peak_mib >= used.resident_mib > 10 and used.cpu_s > 0 for used in usage.values())
+    assert all(used.resident_mib > used.own_mib > 10 and used.cpu_s > 0 for used in usage.values())
     assert run.diagnostics.wait_for(["/cam01/camera_client"], timeout_s=30)
     report = run.diagnostics.report("/cam01/camera_client")
     assert report.values["rate_hz"] == "60.0" and report.losses() == {"dropped": 7}
@@ -111,7 +111,7 @@ def test_graph_goes_on_when_a_camera_refuses_and_another_dies_with_its_last_word
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts(supervise, monkeypatch, tmp_path, capsys):
     run = supervise(tiny("hull_server"), camera("cam01"))
     looked = "sagoma_tools.graph.lifecycle_client.settled"  # until there is one, however busy the machine
-    monkeypatch.setattr(looked, lambda look, expect, wait_s: settled(look, 1, 60.0))
+    monkeypatch.setattr(looked, lambda look, expect, wait_s: settled(lambda: look() & {"/hull_server"}, 1, 60.0))
     assert main(["up", "--rig", str(RING4), "--run-folder", str(tmp_path / "second")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("sagoma: /hull_server run already in this ROS domain. End that graph, or give")
@@ -157,15 +157,6 @@ def test_children_end_on_sigint_or_are_killed_with_what_they_started(tmp_path, t
         assert started.wait(timeout=30) is not None or not started.is_running()
     else:
         started.kill()
-
-
-def test_death_is_told_once_with_the_log_complete(tmp_path):
-    told = threading.Event()
-    child = start(tmp_path, "mortal", "print('first'); print('last'); raise SystemExit(5)", lambda child: told.set())
-    assert told.wait(30)
-    assert child.log_tail(1) == "last" and child.returncode == 5 and child.usage() is None
-    (ended,) = stop_children([child], grace_s=1.0)
-    assert (ended.trouble, ended.returncode) == (ALREADY_DEAD, 5)
 
 
 def wait_for_text(child, text):

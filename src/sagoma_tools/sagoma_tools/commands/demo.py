@@ -26,9 +26,9 @@ from ..arguments import add_settings_argument, add_start_argument, next_steps, p
 from ..console import INTERRUPTED, command_console, doing
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
-from ..evaluation.reasons import REMEDY, explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_nodes, print_scores
+from ..evaluation.track import REMEDY, explain
 from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 
@@ -142,13 +142,12 @@ def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     """Print everything that the run measured."""
-    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics)
+    print_nodes(console, live.usage, live.diagnostics)
     if live.ages_ms:
-        print_ages(console, live.ages_ms, live.hz_held)
+        print_ages(console, live.ages_ms)
     console.print(
         f"{live.sets} frame sets sent, {live.answered} answered by the EKF ({live.sets_per_s:.0f} a second; the "
-        f"footage has {live.session.fps:.0f}), {live.incomplete} incomplete; "
-        f"capture stamps of one set differ by at most {live.spread_ms:.3f} ms"
+        f"footage has {live.session.fps:.0f}), {live.incomplete} incomplete"
     )
     if scores is not None:
         print_scores(console, scores)
@@ -167,6 +166,5 @@ def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
         "speed": live.speed,
         **dict(zip(("latency_p50_ms", "latency_p95_ms"), ages_ms, strict=False)),
         "memory_mib": {name: round(used.resident_mib, 1) for name, used in live.usage.items()},
-        "cpu_ms_per_set": {name: round(ms, 2) for name, ms in live.cpu_ms_per_set.items()},
         **(scores.figures() if scores is not None else {}),
     }

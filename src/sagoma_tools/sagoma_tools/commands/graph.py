@@ -35,7 +35,6 @@ from ..arguments import (
 )
 from ..console import command_console, doing, until_stopped
 from ..graph import ROUND_S
-from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State
 from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
 from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
@@ -43,8 +42,6 @@ from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.folder import TakesFolder
 from ..takes.measure import finish_take
-from ..view.control import Control, Jobs
-from ..view.graph_panel import LiveGraph
 from ..view.page import Page
 from ..view.server import ANY_HOST, PORT, Guard
 
@@ -232,13 +229,12 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
     session = getattr(args, "session", None)  # that `sagoma up` plays
     rig_file = args.rig or (Path(session) / "rig.yaml" if session else None)
     rig = None if rig_file is None else load_rig(rig_file)
-    with RosLink("sagoma_view", namespace=namespace_argument(args)) as link:
-        diagnostics, takes, jobs = DiagnosticsTable(link.node), TakesFolder(Path(args.takes)), Jobs()
-        with closing(Control(link, diagnostics, takes, jobs)) as control:
-            live = LiveGraph(link, diagnostics)
-            with closing(Page(guard, args.port, takes, live, control, jobs, rig)) as page:
-                announce(guard, page.port)
-                yield page
+    with (
+        RosLink("sagoma_view", namespace=namespace_argument(args)) as link,
+        closing(Page(guard, args.port, TakesFolder(Path(args.takes)), link, rig)) as page,
+    ):
+        announce(guard, page.port)
+        yield page
 
 
 def announce(guard: Guard, port: int) -> None:

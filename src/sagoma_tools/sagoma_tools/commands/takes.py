@@ -69,7 +69,7 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     cut.add_argument("name", help="the new take's name")
     cut.add_argument("--from", dest="from_s", type=SECONDS, default=0.0, metavar="S", help="second at which it begins")
     cut.add_argument("--to", dest="to_s", type=SECONDS, metavar="S", help="second at which it ends (default: the end)")
-    film = verb("video", video, "write a video of it: each camera's silhouettes or pictures, with everybody drawn")
+    film = verb("video", video, "write a video of it: each camera's silhouettes, with everybody drawn")
     film.add_argument(
         "--output", metavar="FILE", help=f"mp4, webm (for browsers) or avi (default: TAKE/{EXPORTS}/{VIDEO})"
     )

@@ -15,8 +15,7 @@ from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import EPOCH_NS, FootageEnded, exact_silhouettes, ignore_end, pipeline_of, segmented
 
-from .reasons import nobody_tracked, reasons_of_step
-from .track import Track
+from .track import Track, nobody_tracked, reasons_of_step
 from .track_evaluation import main_track
 
 

@@ -23,7 +23,7 @@ from virtual_studio.gige.loop import ask
 
 from ..graph import ANSWER_S, LOOK_S, PATIENCE_S, START_TIMEOUT_S
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import Child, Usage, busy_machine, stop_children
+from ..graph.processes import Child, busy_machine, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
@@ -60,10 +60,6 @@ class StudioProcess:
     def pid(self) -> int:
         assert self._child is not None
         return self._child.pid
-
-    def usage(self) -> Usage | None:
-        """Return its memory and processor time; None once it has ended."""
-        return None if self._child is None else self._child.usage()
 
     def start(self, cancel: threading.Event | None = None) -> Self:
         """Start it; returns once every camera is on."""
@@ -120,10 +116,6 @@ class FootageInput:
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
         """Prepare the active graph for the playback, and give it time to find the rate that it holds: files train no
         background, and are played no faster than the graph answers."""
-
-    def usage(self) -> dict[str, Usage]:
-        """Return what its own processes use, by label: simulated cameras run beside the graph."""
-        return {}
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
@@ -194,10 +186,6 @@ class StudioInput(FootageInput):
             cancel.wait(SETTLE_S)
         resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
         call_all(supervisor.node, Trigger, resets, PATIENCE_S)
-
-    def usage(self) -> dict[str, Usage]:
-        used = self.studio.usage()
-        return {} if used is None else {"studio": used}
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
         answer = self.studio.ask("play", loop=False)

@@ -26,8 +26,7 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from .live_inputs import FootageInput, StudioInput
-from .reasons import reasons_of_bag
-from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
+from .track import SessionClock, Track, clock_of_bag, reasons_of_bag, silhouette_stamps, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track, main_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
@@ -44,9 +43,7 @@ class LiveRun:
     clock : which frame of the session was visible when.
     seen : (N,) the session's frames that a camera captured.
     sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
-    incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
-    usage : memory and processor time by process, at the end of the run.
-    cpu_ms_per_set : processor time that each process spent on one frame set, on average, its start left out.
+    incomplete : sets that lacked a camera. usage : of the graph's processes, at the end of the run.
     diagnostics : each node's last diagnostics.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     speed : of the cameras' time, of which sets_per_s alone is not.
@@ -62,9 +59,7 @@ class LiveRun:
     answered: int
     sets_per_s: float
     incomplete: int
-    spread_ms: float
     usage: dict[str, Usage]
-    cpu_ms_per_set: dict[str, float]
     diagnostics: dict[str, Mapping[str, str]]
     ages_ms: dict[str, np.ndarray]
     speed: float
@@ -113,23 +108,16 @@ def run_live(
                 supervisor.activate(tolerate_cameras=False)
                 doing("waiting until cameras and graph are in step")
                 live_input.prepare(supervisor, cancel)
-                began_ns, before = live_input.clock.now_ns(), used(supervisor, live_input)
                 doing("playing the session")
                 clock = live_input.play(recorder, cancel)
-                after = used(supervisor, live_input)
+                usage = supervisor.processes.usage()
                 reports = {spec.full_name: supervisor.diagnostics.report(spec.full_name) for spec in graph}
                 doing("stopping the nodes")
                 supervisor.suspend()
                 recorder.close(None if clock is None else clock.provenance())
     doing("reading the bag")
-    spent_s = {name: now.cpu_s - before[name].cpu_s for name, now in after.items() if name in before}
     diagnostics = {name: report.values for name, report in reports.items() if report is not None}
-    return _read_back(live_input, bag, began_ns, after, spent_s, diagnostics)
-
-
-def used(supervisor: Supervisor, live_input: FootageInput) -> dict[str, Usage]:
-    """Return what the graph's and its input's processes use."""
-    return {**supervisor.processes.usage(), **live_input.usage()}
+    return _read_back(live_input, bag, usage, diagnostics)
 
 
 def run_studio(
@@ -161,18 +149,11 @@ def run_studio(
 
 
 def _read_back(
-    live_input: FootageInput,
-    bag: Path,
-    began_ns: int,
-    usage: dict[str, Usage],
-    spent_s: Mapping[str, float],
-    diagnostics: dict[str, Mapping[str, str]],
+    live_input: FootageInput, bag: Path, usage: dict[str, Usage], diagnostics: dict[str, Mapping[str, str]]
 ) -> LiveRun:
-    """Read the bag's figures; ``spent_s`` of processor time of each process since ``began_ns``."""
+    """Read the bag's figures."""
     session = live_input.session
     clock, stamps = clock_of_bag(bag, session), silhouette_stamps(bag, session)
-    measured_from_ns = began_ns if live_input.in_real_time else 0
-    measured = max(sum(stamp >= measured_from_ns for stamp in sent) for sent in stamps.values())
     answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in clock]
     sets = [_values(m) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
     ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
@@ -187,9 +168,7 @@ def _read_back(
         answered=len(answers),
         sets_per_s=(len(answers) - 1) / max(1e-9 * (answers[-1] - answers[0]), 1e-9) if answers else 0.0,
         incomplete=sum(bool(values.get("missing")) for values in sets),
-        spread_ms=max((float(values["spread_ms"]) for values in sets), default=float("nan")),
         usage=usage,
-        cpu_ms_per_set={name: 1e3 * cpu_s / max(measured, 1) for name, cpu_s in spent_s.items()},
         diagnostics=diagnostics,
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
         speed=float(live_input.clock.speed),

@@ -129,13 +129,14 @@ def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
 def _angles(evaluated: TrackEvaluation) -> Figure:
     """Angles over time against the truth (as thesis fig. 7.4 to 7.7)."""
     track, truth = evaluated.track, evaluated.session.truth
-    curves = [("ours", OURS, 1.3, track.frames, track.angles)]  # label, colour, width, frames (F,), angles (F, 18) rad
+    frames = np.arange(evaluated.frames)  # NaN where there is nothing: no line bridges it
+    curves = [("ours", OURS, 1.3, frames, track.at(frames).angles)]  # label, colour, width, frames, angles (F, 18) rad
     if truth is not None:
         curves.insert(0, ("truth", TRUTH, 3.5, truth.frames, angle_truth(truth).angles))
     figure = Figure(figsize=(12, 22), layout="constrained")
     for slot, axis in enumerate(np.ravel(figure.subplots(9, 2, sharex=True))):
         for label, colour, width, frames, angles in curves:
-            seconds, degrees = frames / evaluated.session.fps, unbridged(frames, np.rad2deg(angles[:, slot]))
+            seconds, degrees = frames / evaluated.session.fps, np.rad2deg(angles[:, slot])
             axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
             sure = np.where(defined(angles)[:, slot], degrees, np.nan)
             axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
@@ -145,13 +146,6 @@ def _angles(evaluated: TrackEvaluation) -> Figure:
         axis.set_title(title, fontsize=10)
     _finish(figure, evaluated, "angles", "angle [deg], dotted where the pose does not determine it")
     return figure
-
-
-def unbridged(frames: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-    """Return the angles (F,), NaN behind missing frames and full turns, so that no line bridges them."""
-    usual = np.median(np.diff(frames)) if len(frames) > 1 else 1.0
-    steps = np.diff(frames, prepend=frames[:1]) > 3 * usual, np.abs(np.diff(degrees, prepend=degrees[:1])) > 180.0
-    return np.where(steps[0] | steps[1], np.nan, degrees)
 
 
 def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:

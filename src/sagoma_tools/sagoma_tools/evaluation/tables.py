@@ -11,7 +11,6 @@ from rich.table import Table
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..console import plain_table
-from ..graph.diagnostics_table import budget_text
 from ..graph.processes import Usage
 from ..graph.ros_link import label_of
 from .scores import AngleScores, PointScores, Scores
@@ -38,14 +37,8 @@ def print_scores(console: Console, scores: Scores) -> None:
     table.add_row("all", f"{of_all.rmse_mm:.1f}", *_cells(of_all), style="bold")
     console.print(table)
     console.print(
-        f"{scores.tracked} of {scores.frames} frames tracked; mean error {of_all.mean_mm:.1f} mm, median "
-        f"{of_all.median_mm:.1f}, 95 % below {of_all.p95_mm:.0f}; {of_all.mean_mm_without_offset:.1f} mm without "
-        f"constant offsets; {100 * of_all.over_200mm:.1f} % of the frames have a point over 200 mm"
-    )
-    console.print(
-        f"covariance: {100 * of_all.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
-        f"{100 * of_all.inside_95_without_offset:.0f} % without constant offsets; NEES {of_all.nees:.1f}, where 3 is "
-        "consistent"
+        f"{scores.tracked} of {scores.frames} frames tracked; {100 * of_all.inside_95_without_offset:.0f} % of the "
+        "errors inside their 95 % ellipsoid without constant offsets; NEES is 3 where the covariance is consistent"
     )
     console.print(
         f"doubt: of {calls.wrong.sum()} parts of the body with a point over 200 mm, called doubtful or lost: "
@@ -80,9 +73,7 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
     if evaluated.scores is not None:
         print_scores(console, evaluated.scores)
     else:
-        console.print(
-            f"{len(evaluated.track)} of {evaluated.frames} frames have a body; there is no truth to compare with"
-        )
+        console.print(f"{len(evaluated.track)} of {evaluated.frames} frames have a body; there is no truth")
     states = ", ".join(f"{state} in {count} frames" for state, count in evaluated.states.items())
     switches = "" if evaluated.switches is None else f"; {evaluated.switches} identity switches"
     console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}{switches}")
@@ -131,28 +122,19 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
     console.print(table)
 
 
-def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -> None:
-    """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
+def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray]) -> None:
+    """Print the age of frame sets at each point, since exposure."""
     table = plain_table("since exposure", ["point"], ["p50 ms", "p95 ms", "max ms"])
     for name, values in ages_ms.items():
         table.add_row(name.removesuffix("_ms"), *(f"{v:.1f}" for v in np.percentile(values, [50, 95, 100])))
     console.print(table)
-    p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
-    console.print(f"95 % within {budget_text(p95_ms, hz)}")
 
 
-def print_nodes(
-    console: Console,
-    usage: Mapping[str, Usage],
-    cpu_ms_per_set: Mapping[str, float],
-    diagnostics: Mapping[str, Mapping[str, str]],
-) -> None:
-    """Print one row a process and a node: memory and its peak, processor time a frame set; results."""
-    table = plain_table("nodes", ["node"], ["resident MiB", "peak MiB", "cpu ms a set", "results"])
+def print_nodes(console: Console, usage: Mapping[str, Usage], diagnostics: Mapping[str, Mapping[str, str]]) -> None:
+    """Print one row a process and a node: memory; results."""
+    table = plain_table("nodes", ["node"], ["resident MiB", "results"])
     results = {label_of(name): report.get("results", "") for name, report in diagnostics.items()}
     for label in dict.fromkeys([*usage, *results]):
-        used = usage.get(label)  # None of a node that shares its process
-        memory = ("", "") if used is None else (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}")
-        cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
-        table.add_row(label, *memory, cpu, results.get(label, ""))
+        memory = f"{usage[label].resident_mib:.0f}" if label in usage else ""  # a node may share its process
+        table.add_row(label, memory, results.get(label, ""))
     console.print(table)

@@ -1,27 +1,42 @@
-"""A track: the filtered body of a session, one row a frame set; read from a bag or collected in process."""
+"""A track: the filtered body of a session, one row a frame set; read from a bag or collected in process; why there is
+none."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video, examine_video
 from mocap_packets.fit import FIRST_PERSON, PART_NAMES
-from mocap_packets.state import BodyState
+from mocap_packets.state import BodyState, Tracking
+from sagoma_ros.messages import values_of
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..graph.topics import camera_topics
-from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance, rig_in
+from ..recording.reader import (
+    METADATA,
+    SIDECAR_RIG,
+    bag_persons,
+    frame_tolerance_ns,
+    read_messages,
+    read_provenance,
+    rig_in,
+)
 from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
-from .reasons import nobody_tracked, reasons_of_bag
+
+if TYPE_CHECKING:  # bags are read without it
+    from mocap_pipeline.pipeline import Step
 
 T = TypeVar("T")
 
@@ -197,9 +212,7 @@ def frame_count(session: Session) -> int:
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is a bag's folder or file."""
-    if path.is_file():
-        return path.suffix in SUFFIXES
-    return (path / "metadata.yaml").is_file() or any(found for suffix in SUFFIXES for found in path.glob("*" + suffix))
+    return path.suffix in SUFFIXES or (path / METADATA).is_file() or any(path.glob("*.mcap"))
 
 
 def session_of_bag(bag: Path) -> Session:
@@ -215,3 +228,53 @@ def session_of_bag(bag: Path) -> Session:
         raise InputError(what, where=str(bag), remedy=f"Run sagoma evaluate SESSION --bag {bag}.")
     fps = 0.5e9 / frame_tolerance_ns(bag)
     return Session(bag, load_rig(rig_file), fps, videos={}, backgrounds={}, masks={}, truth=None)
+
+
+# why nobody is tracked -----------------------------------------------------------------------------------------------
+
+
+FIT_TOPIC = "/icp/fit"
+SHOWN = 3
+VARYING = re.compile(r": step .*|(?<![\w.])[+-]?\d+(?:\.\d+)?")
+"""What may differ between two sets of which the same is said: which way to step, and numbers but a camera's name's."""
+REMEDY = (
+    "What to do about each: docs/tracking.md, 'Why it refuses'. Of footage and rig, sagoma doctor --session SESSION "
+    "says what is wrong."
+)
+
+
+def reasons_of_step(step: Step) -> tuple[str, ...]:
+    """Return why the fits of one set are not quite believed, or there is none."""
+    return tuple(person.fit.reason for person in step.people if person.fit.state != Tracking.TRACKING)
+
+
+def reasons_of_bag(bag: str | Path, wanted: Callable[[int], bool] = lambda stamp_ns: True) -> list[tuple[str, ...]]:
+    """Return the same of each frame set of a wanted stamp in a bag; none of a bag without fits."""
+    found = []
+    for message in read_messages(bag, FIT_TOPIC.__eq__):
+        if wanted(message.stamp_ns):
+            statuses = message.decode(DiagnosticArray).status
+            troubled = [s for s in statuses if values_of(s).get(STATE) != Tracking.TRACKING]
+            found.append(tuple(status.message for status in troubled))
+    return found
+
+
+def rank_reasons(sets: Sequence[Sequence[str]]) -> list[tuple[str, int]]:
+    """Return each reason, with the numbers of the middle one of its sets, and in how many it was given; the most
+    frequent first."""
+    texts: dict[str, list[str]] = defaultdict(list)
+    for reasons in sets:
+        for kind, reason in {VARYING.sub("#", reason): reason for reason in reasons}.items():
+            texts[kind].append(reason)
+    return [(same[len(same) // 2], len(same)) for same in sorted(texts.values(), key=len, reverse=True)]
+
+
+def explain(sets: Sequence[Sequence[str]]) -> str:
+    """Return the most frequent reasons as one clause."""
+    said = ", ".join(f'"{text}" in {count}' for text, count in rank_reasons(sets)[:SHOWN])
+    return f"of {len(sets)} frame sets the tracker said {said or 'nothing'}"
+
+
+def nobody_tracked(what: str, where: str, sets: Sequence[Sequence[str]]) -> InputError:
+    """Return the error of a session or bag in which nobody was tracked."""
+    return InputError(f"{what}: {explain(sets)}", where=where, remedy=REMEDY)

@@ -93,17 +93,17 @@ def train_backgrounds(
         report = training_report_of(diagnostics, name)
         return report if _number(report) > before[name] else None
 
-    def unknown(service: str) -> bool:
-        return wanted() and new_report(service.removesuffix(f"/{SERVICE}")) is None
+    def unknown(name: str) -> bool:
+        return wanted() and new_report(name) is None
 
-    requests = {f"{name}/{SERVICE}": Trigger.Request() for name in names}
-    replies = call_all(node, Trigger, requests, timeout_s, unknown)
-    answered = [name for name in names if replies[f"{name}/{SERVICE}"] is not None]
+    requests = {name: Trigger.Request() for name in names}
+    replies = call_all(node, Trigger, requests, timeout_s, unknown, suffix=f"/{SERVICE}")
+    answered = [name for name in names if replies[name] is not None]
     diagnostics.wait_until(lambda: all(map(new_report, answered)), ANSWER_S)
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
 
     def outcome(name: str) -> TrainingOutcome:
-        reply, report = replies[f"{name}/{SERVICE}"], new_report(name)
+        reply, report = replies[name], new_report(name)
         said = report.text if report is not None else silence if reply is None else reply.message
         return TrainingOutcome(label_of(name), said, report)
 

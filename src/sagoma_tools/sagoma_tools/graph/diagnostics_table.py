@@ -21,7 +21,6 @@ from sagoma_ros.messages import to_ns, values_of
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3 * PERIOD_S
-BUDGET_PERIODS = 1.5  # from exposure to joint state, in periods of the frame sets, for 95 % of them
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
 LOSS_WORDS = (*_LOSSES.split(), "control_losses")
 COUNT = re.compile(r"[0-9]{1,18}")
@@ -85,8 +84,6 @@ class DiagnosticsTable:
         table.add_column("says", ratio=2)
         for name, label in names.items():
             table.add_row(label, *_row(states.get(name, "?"), self.report(name), now_s))
-        table.caption = latency_line(next((self.report(n) for n in names if n.endswith("/ekf_tracker")), None))
-        table.caption_justify = "left"
         return table
 
     def _on_message(self, message: DiagnosticArray, info: Mapping[str, int]) -> None:
@@ -99,23 +96,6 @@ class DiagnosticsTable:
                 most_s = lead_s if before is None else max(before.lead_s, lead_s)
                 self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, most_s)
             self._heard.notify_all()
-
-
-def latency_line(filter_report: NodeReport | None) -> str:
-    """Say within which time the filter answers 95 % of the sets, since exposure; empty while it is unknown."""
-    values = {} if filter_report is None else filter_report.values
-    try:
-        p95_ms, rate_hz = float(values["latency_p95_ms"]), float(values["rate_hz"])
-    except (KeyError, ValueError):
-        return ""
-    return f"since exposure, 95 % within {p95_ms:.0f} ms: {budget_text(p95_ms, rate_hz)}"
-
-
-def budget_text(p95_ms: float, rate_hz: float) -> str:
-    """Return an age in periods of the frame sets, and whether it keeps to the budget."""
-    periods = p95_ms * rate_hz / 1e3
-    verdict = "within" if periods <= BUDGET_PERIODS else "over"
-    return f"{periods:.1f} periods of the frame sets, {verdict} the budget of {BUDGET_PERIODS:g}"
 
 
 def _row(state: str, report: NodeReport | None, now_s: float) -> tuple[str | Text, ...]:

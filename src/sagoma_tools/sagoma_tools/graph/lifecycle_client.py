@@ -66,9 +66,11 @@ class LifecycleClient:
 
     def states(self, nodes: Iterable[str], timeout_s: float = ANSWER_S) -> dict[str, str | None]:
         """Fully qualified node name -> state label, None where no answer came."""
-        questions = {f"{name}/get_state": GetState.Request() for name in nodes}
-        replies = call_all(self._node, GetState, questions, timeout_s, self._lives, repeatable=True)
-        return {_owner(service): reply and reply.current_state.label for service, reply in replies.items()}
+        questions = {name: GetState.Request() for name in nodes}
+        replies = call_all(
+            self._node, GetState, questions, timeout_s, self._alive, suffix="/get_state", repeatable=True
+        )
+        return {name: reply and reply.current_state.label for name, reply in replies.items()}
 
     def bring(
         self,
@@ -104,36 +106,29 @@ class LifecycleClient:
         self, ways: Mapping[str, tuple[State, State]], timeout_s: float | None, outcome: Outcome
     ) -> dict[str, State]:
         """Ask each node for the transition between its two states; returns those that acknowledged and their states."""
-        requests = {f"{name}/change_state": ChangeState.Request() for name in ways}
+        requests = {name: ChangeState.Request() for name in ways}
         for name, way in ways.items():
-            requests[f"{name}/change_state"].transition.id = TRANSITIONS[way][1]
+            requests[name].transition.id = TRANSITIONS[way][1]
         up = any(STATES.index(goal) > STATES.index(state) for state, goal in ways.values())
         limit_s = (START_TIMEOUT_S if up else PATIENCE_S) if timeout_s is None else timeout_s
 
         def inferred(silent: set[str]) -> dict[str, Any]:
             """Success for nodes that are in the wanted state, though their reply was lost."""
-            labels = self.states(map(_owner, silent), ROUND_S)
-            there = [name for name, label in labels.items() if label == ways[name][1]]
-            return {f"{name}/change_state": ChangeState.Response(success=True) for name in there}
+            labels = self.states(silent, ROUND_S)
+            return {name: ChangeState.Response(success=True) for name in silent if labels[name] == ways[name][1]}
 
-        replies = call_all(self._node, ChangeState, requests, limit_s, self._lives, inferred=inferred)
+        replies = call_all(
+            self._node, ChangeState, requests, limit_s, self._alive, suffix="/change_state", inferred=inferred
+        )
         changed = {}
         for name, way in ways.items():
-            reply = replies[f"{name}/change_state"]
+            reply = replies[name]
             if reply is not None and reply.success:
                 changed[name] = way[1]
             else:
                 outcome.fail(name, TRANSITIONS[way][0], reply and "refused")
         outcome.reached |= changed
         return changed
-
-    def _lives(self, service: str) -> bool:
-        return self._alive(_owner(service))
-
-
-def _owner(service: str) -> str:
-    """Return the node that offers a service of its own."""
-    return service.rpartition("/")[0]
 
 
 # nodes of a graph's names that other processes run --------------------------------------------------------------------

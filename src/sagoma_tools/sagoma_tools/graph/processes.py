@@ -24,7 +24,7 @@ GRACE_S, REAP_S = 8.0, 5.0  # to end after SIGINT, and after SIGKILL
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG, MIB = 1, 1 << 20
 _libc = ctypes.CDLL(None)
 
 
@@ -43,14 +43,13 @@ KILLED, FAILED, ALREADY_DEAD = "ignored SIGINT and was killed", "stopped with an
 
 @dataclass(frozen=True)
 class Usage:
-    """Resources of a process: memory resident now and at its peak, MiB, processor time since its start, seconds.
+    """Resources of a process: memory resident now, MiB, and processor time since its start, seconds.
 
-    own_mib : of what is resident, all that is not a page of a file. How many of a library's pages are counted as
-    resident is the kernel's choice, and processes share them.
+    own_mib : of what is resident, all that is not shared. How many of a library's pages are counted as resident is the
+    kernel's choice, and processes share them.
     """
 
     resident_mib: float
-    peak_mib: float
     own_mib: float
     cpu_s: float
 
@@ -113,15 +112,11 @@ class Child:
     def usage(self) -> Usage | None:
         """Return its resources; None once it has ended."""
         try:
-            status = Path(f"/proc/{self.pid}/status").read_text()
-            cpu = psutil.Process(self.pid).cpu_times()
-        except (OSError, psutil.Error):
+            process = psutil.Process(self.pid)
+            memory, cpu = process.memory_info(), process.cpu_times()
+        except psutil.Error:
             return None
-        kib = {line.split(":")[0]: int(line.split()[1]) for line in status.splitlines() if " kB" in line}
-        if "VmRSS" not in kib:
-            return None
-        own = kib["VmRSS"] - kib["RssFile"]
-        return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, own / 1024, cpu.user + cpu.system)
+        return Usage(memory.rss / MIB, (memory.rss - memory.shared) / MIB, cpu.user + cpu.system)
 
     def interrupt(self) -> None:
         """Ask it to stop (SIGINT)."""

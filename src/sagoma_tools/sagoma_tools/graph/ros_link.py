@@ -157,10 +157,11 @@ def call_all(
     timeout_s: float,
     alive: Callable[[str], bool] = lambda service: True,
     *,
+    suffix: str = "",
     repeatable: bool = False,
     inferred: Callable[[set[str]], Mapping[str, Any]] = lambda services: {},
 ) -> dict[str, Any]:
-    """Call many services at once; service name -> reply, None where none came within ``timeout_s``.
+    """Call the services NAME + ``suffix`` at once; name -> reply, None where none came within ``timeout_s``.
 
     Each request is sent as soon as its service is there, so one silent node delays no other. ``node`` must be spun by
     another thread. A service for which ``alive`` turns false is waited for no longer.
@@ -169,7 +170,7 @@ def call_all(
     response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is asked
     every second which of the silent services are known, by other means, to have done their work, and their replies.
     """
-    clients = {service: node.create_client(srv_type, service) for service in requests}
+    clients = {service: node.create_client(srv_type, service + suffix) for service in requests}
     answered, unsent = threading.Condition(), set(requests)
     replies: dict[str, Any] = dict.fromkeys(requests)
 

@@ -239,15 +239,15 @@ def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> di
 
     ``node`` must be spun by another thread.
     """
-    questions = {f"{name}/list_parameters": ListParameters.Request() for name in names}
-    listed = call_all(node, ListParameters, questions, timeout_s, repeatable=True)
-    keys = {n: list(reply.result.names) for n in names if (reply := listed[f"{n}/list_parameters"]) is not None}
-    requests = {f"{name}/get_parameters": GetParameters.Request(names=keys[name]) for name in keys}
-    replies = call_all(node, GetParameters, requests, timeout_s, repeatable=True)
+    questions = {name: ListParameters.Request() for name in names}
+    listed = call_all(node, ListParameters, questions, timeout_s, suffix="/list_parameters", repeatable=True)
+    keys = {name: list(reply.result.names) for name, reply in listed.items() if reply is not None}
+    requests = {name: GetParameters.Request(names=own) for name, own in keys.items()}
+    replies = call_all(node, GetParameters, requests, timeout_s, suffix="/get_parameters", repeatable=True)
     return {
         name: {key: _plain(value) for key, value in zip(keys[name], reply.values, strict=True)}
-        for name in keys
-        if (reply := replies[f"{name}/get_parameters"]) is not None
+        for name, reply in replies.items()
+        if reply is not None
     }
 
 

@@ -1,4 +1,4 @@
-"""Writes rosbag2 bags (mcap) that ``ros2 bag`` and Foxglove read, with their provenance."""
+"""Writes rosbag2 bags (mcap) that ``ros2 bag`` and Foxglove read, with their provenance; recovers those cut short."""
 
 from __future__ import annotations
 
@@ -9,19 +9,23 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import yaml
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.well_known import MessageEncoding, Profile
 from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.typesys import TypesysError
 
 from capture_rig.errors import InputError
-from capture_rig.files import FULL, copy_file, describe_os_error, sync_folder, write_text
+from capture_rig.files import copy_file, describe_os_error, sync_folder, write_text
 from capture_rig.yaml_file import save_mapping
 
 from .reader import METADATA, SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES
@@ -33,8 +37,6 @@ OFFERED = Qos(*_QUEUE, INFINITE, INFINITE, QosLiveliness.AUTOMATIC, INFINITE, Fa
 OFFERED_LATCHED = OFFERED._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
 CHUNK_BYTES = 1 << 20
 SYNC_S = 0.5  # the disk has a message after at most twice as long, if it can write at all
-RESERVE = ".reserve"
-RESERVE_BYTES = 8 << 20  # the chunk that found the disk full, and index and metadata of hours at two chunks a second
 VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags", "mcap")
 
 
@@ -45,48 +47,12 @@ def require_new(folder: str | Path) -> Path:
     return Path(folder)
 
 
-class ReservedFile:
-    """A new file that is appended to, and room on its disk: once the disk is full, what is still to be written goes
-    there. ``failure`` is the first error that the disk gave."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises OSError when the file or its reserve cannot be made."""
-        self.failure: OSError | None = None
-        self._reserve = path.parent / RESERVE
-        self._file = path.open("xb", buffering=0)
-        self.tell, self.flush, self.close = self._file.tell, self._file.flush, self._file.close
-        with self._reserve.open("wb") as file:
-            os.posix_fallocate(file.fileno(), 0, RESERVE_BYTES)
-
-    def write(self, data: bytes) -> int:
-        """Append all of ``data``. Raises OSError when the reserve does not hold it either."""
-        left = memoryview(data)
-        while left:
-            try:
-                left = left[self._file.write(left) :]
-            except OSError as error:
-                if self.failure is not None or error.errno not in FULL:
-                    raise
-                self.failure = error
-                self.release()
-        return len(data)
-
-    def release(self) -> None:
-        """Give the reserve back to the disk."""
-        self._reserve.unlink(missing_ok=True)
-
-    def sync(self) -> None:
-        """Wait until the disk has what was written so far. Raises OSError."""
-        os.fsync(self._file.fileno())
-
-
 class BagWriter:
     """One bag being written; use as a context manager. Methods may be called from any thread.
 
     Every SYNC_S what came is put on the disk (fsync), so that a power cut costs a second at most; every chunk has a
     checksum. ``metadata.yaml`` appears in one step when the bag is closed; a bag without it was cut short (``sagoma
-    recover``). On a full disk what was taken until then goes into the bag's reserve, and writing raises InputError from
-    then on; closing finishes the bag.
+    recover``), as is one whose disk was full or failed: writing raises InputError from then on.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -103,10 +69,10 @@ class BagWriter:
         self.failure: InputError | None = None
         try:
             self.folder.mkdir(parents=True)
-            self._file = ReservedFile(self.folder / f"{self.folder.name}.mcap")
-            self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)  # type: ignore[arg-type]
+            self._file = (self.folder / f"{self.folder.name}.mcap").open("xb")
+            self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
             self._mcap.start(profile=Profile.ROS2)
-            self._file.sync()
+            self._sync()
             sync_folder(self.folder)
             sync_folder(self.folder.parent)
         except OSError as error:
@@ -159,36 +125,36 @@ class BagWriter:
                 self._mcap.add_message(self._channels[topic], self._last_ns, data, self._last_ns)
 
     def describe(self, provenance: Mapping[str, Any], rig: Path | None = None) -> None:
-        """Write (or replace) ``sagoma.yaml`` and ``rig.yaml`` in the bag's folder, at the end. Raises InputError."""
+        """Write (or replace) ``sagoma.yaml`` and ``rig.yaml`` in the bag's folder, at the end. Raises InputError, but
+        not for a disk that had no room for the bag either."""
         document = {"software": software_versions(), **provenance}
         if self.failure is not None:
             document["ended_early"] = str(self.failure)
-        self._file.release()  # a full disk has room for this now
-        save_mapping(self.folder / SIDECAR_PROVENANCE, document)
-        if rig is not None:
-            copy_file(rig, self.folder / SIDECAR_RIG)
+        try:
+            save_mapping(self.folder / SIDECAR_PROVENANCE, document)
+            if rig is not None:
+                copy_file(rig, self.folder / SIDECAR_RIG)
+        except InputError:
+            if self.failure is None:
+                raise
 
     def close(self) -> None:
-        """Finish the file, then write metadata.yaml; may be called twice. InputError when the disk fails even then."""
+        """Finish the file, then write metadata.yaml; may be called twice. InputError when the disk fails only then."""
         if self._stop.is_set():
             return
         self._stop.set()
         self._syncing.join()
-        with self._lock:
-            self._file.release()
-            try:
-                self._mcap.flush()
+        if not (failed := self.failure is not None):
+            with self._failing():
                 information = self._information()
                 self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
                 self._mcap.finish()
-                self._file.sync()
+                self._sync()
                 write_text(self.folder / METADATA, _yaml({"rosbag2_bagfile_information": information}) + "\n")
-            except (OSError, InputError) as error:
-                what = f"the bag's end cannot be written ({error}); {self._saved()}"
-                remedy = f"Free space on that disk, then run `sagoma recover '{self.folder}'`."
-                raise InputError(what, where=str(self.folder), remedy=remedy) from None
-            finally:
-                self._file.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
+        if self.failure is not None and not failed:
+            raise self.failure
 
     def _information(self) -> dict[str, Any]:
         """Return what metadata.yaml says of the bag: version 9 of rosbag2."""
@@ -217,29 +183,31 @@ class BagWriter:
             "ros_distro": "jazzy",
         }
 
+    def _sync(self) -> None:
+        """Wait until the disk has what was written so far. Raises OSError."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
     def _sync_regularly(self) -> None:
         while self.failure is None and not self._stop.wait(SYNC_S):
+            with self._failing(), self._lock:
+                self._mcap.flush()
+                self._file.flush()
             with self._failing():
-                with self._lock:
-                    self._mcap.flush()
-                self._file.sync()
+                os.fsync(self._file.fileno())
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
         """Remember once why nothing more is written: the disk is full, or failed."""
         try:
             yield
-        except OSError as raised:
-            self._file.failure = self._file.failure or raised
-        with self._lock:
-            if (error := self._file.failure) is not None and self.failure is None:
-                what = f"the recording has ended ({error.strerror}); {self._saved()}"
-                remedy = "Free space on that disk, or choose another, and record anew."
-                self.failure = InputError(what, where=str(self.folder), remedy=remedy)
-
-    def _saved(self) -> str:
-        span_ns = self._last_ns - (self._first_ns or self._last_ns)
-        return f"{sum(self.counts.values())} messages, {span_ns / 1e9:.1f} s, are saved"
+        except (OSError, InputError) as error:
+            with self._lock:
+                span_ns = self._last_ns - (self._first_ns or self._last_ns)
+                saved = f"{sum(self.counts.values())} messages, {span_ns / 1e9:.1f} s, but for a second at most"
+                what = f"the recording has ended ({getattr(error, 'strerror', error)}); {saved}, are saved"
+                remedy = f"Free space on that disk, then run `sagoma recover '{self.folder}'`."
+                self.failure = self.failure or InputError(what, where=str(self.folder), remedy=remedy)
 
     def __enter__(self) -> BagWriter:
         return self
@@ -280,3 +248,82 @@ def _git(folder: Path, *arguments: str) -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""  # no git, or no checkout
+
+
+# recovery -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Recovery:
+    """What came of it: messages by topic; chunks left out because they are damaged; bytes behind the break, unread."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+    damaged_chunks: int = 0
+    unread_bytes: int = 0
+
+    def __str__(self) -> str:
+        """Return it in a sentence."""
+        notes = [f"{self.damaged_chunks} damaged chunks (a second or less each) left out"] * (self.damaged_chunks > 0)
+        notes += [f"{self.unread_bytes} bytes at the end cannot be read"] * (self.unread_bytes > 0)
+        return "; ".join([f"{sum(self.counts.values())} messages recovered", *notes])
+
+
+def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
+    """Copy every message that can still be read from ``bag`` into the new bag ``target``.
+
+    The mcap file of a bag whose writer was killed, whose disk was full, or whose bytes were damaged has no index, or a
+    wrong one: it is read record by record up to where it breaks off. A chunk that is cut, or whose checksum does not
+    fit its bytes, is left out whole; which of its messages are damaged cannot be told. Raises InputError for what is no
+    mcap bag.
+    """
+    files = sorted(Path(bag).glob("*.mcap"))
+    if len(files) != 1:
+        what = f"holds {len(files) or 'no'} .mcap files" if Path(bag).is_dir() else "there is no such folder"
+        raise InputError(what, where=str(bag), remedy="Give the folder that holds one .mcap file.")
+    recovery = Recovery()
+    with BagWriter(target) as writer:
+        topics = _add_topics(_records(files[0], Recovery()), writer)
+        for record in _records(files[0], recovery):
+            if isinstance(record, Message) and record.channel_id in topics:
+                writer.write(topics[record.channel_id], record.log_time, record.data)
+    recovery.counts = dict(writer.counts)
+    for sidecar in (SIDECAR_RIG, SIDECAR_PROVENANCE):
+        if (Path(bag) / sidecar).exists():
+            copy_file(Path(bag) / sidecar, Path(target) / sidecar)
+    return recovery
+
+
+def _add_topics(records: Iterator[McapRecord], writer: BagWriter) -> dict[int, str]:
+    """Announce the topics that the file describes anywhere; return them by channel."""
+    types: dict[int, str] = {}
+    topics: dict[int, str] = {}
+    for record in records:
+        if isinstance(record, Schema):
+            types[record.id] = record.name
+        elif isinstance(record, Channel) and record.schema_id in types:
+            try:
+                writer.add_topic(record.topic, types[record.schema_id])
+            except (TypesysError, KeyError):
+                continue  # of a damaged record; those behind it are read all the same
+            topics[record.id] = record.topic
+    return topics
+
+
+def _records(path: Path, recovery: Recovery) -> Iterator[McapRecord]:
+    """Yield the file's records, those inside chunks included, up to where it breaks off."""
+    size, whole = path.stat().st_size, 0
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file, emit_chunks=True, record_size_limit=size).records:
+                whole = file.tell()
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                try:
+                    records = breakup_chunk(record, validate_crc=True)
+                except Exception:  # zstd and lz4 have errors of their own, damaged numbers and texts raise others
+                    recovery.damaged_chunks += 1
+                else:
+                    yield from records
+        except Exception:  # cut, or damaged where a record is described
+            recovery.unread_bytes = size - whole

@@ -1,4 +1,4 @@
-"""A take as files of other programs, everybody's motion, and as a video over each camera's silhouettes or pictures."""
+"""A take as files of other programs, everybody's motion, and as a video over each camera's silhouettes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage
 
-from camera_client.camera_ros import PREVIEW_PERIOD_S
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
@@ -20,10 +19,9 @@ from capture_rig.rig import load_rig
 from capture_rig.video import VideoFile
 from motion_export.animation_files import write_bvh, write_glb
 from motion_export.marker_files import write_c3d, write_csv, write_trc
-from motion_export.motion import Motion
+from motion_export.motion import NS_PER_S, Motion
 from motion_export.opensim import write_mot, write_osim
-from sagoma_ros.images import decode_image, decode_silhouette
-from stick_figure.skeleton import POINT_NAMES
+from sagoma_ros.images import decode_silhouette
 
 from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
 from ..overlays import MAX_WIDTH_PX, Window, captioned, draw_skeleton, montage, tiling, write_name
@@ -101,13 +99,8 @@ def describe(motion: Motion) -> str:
 
 
 VIDEO = "overlay.mp4"
-PICTURE_SUFFIXES = ("/image_raw", "/preview/compressed")
-"""Topics of a camera's pictures, the better first."""
 ROOM_GREY, BODY_GREY, SHADOW_GREY = 38, 150, 75
-HEAD = POINT_NAMES.index("head")
 MOST_HZ = 60
-HOLD_S = 2.5 * PREVIEW_PERIOD_S
-"""For so long a camera's last picture is shown: until two previews have not come."""
 
 
 def write_video(take: Take, path: Path, progress: Callable[[int, int], None] = lambda frame, frames: None) -> int:
@@ -134,28 +127,24 @@ def write_video(take: Take, path: Path, progress: Callable[[int, int], None] = l
 
 @dataclass
 class View:
-    """One camera's pictures and the camera that took them: that of the image, or of its undistorted canvas."""
+    """One camera's silhouettes, and the camera of their undistorted canvas."""
 
     camera: CameraModel
     messages: Iterator[BagMessage]
-    is_silhouette: bool
     _now: BagMessage | None = None
     _next: BagMessage | None = None
 
     def picture_at(self, stamp_ns: int) -> np.ndarray | None:
-        """Return the newest picture (H, W, 3) at a stamp, None where there is none within HOLD_S; stamps must grow."""
+        """Return the newest picture (H, W, 3) at a stamp, None where there is none within a second; stamps grow."""
         while self._next is None or self._next.stamp_ns <= stamp_ns:
             self._now = self._next or self._now
             self._next = next(self.messages, None)
             if self._next is None:
                 break
-        if self._now is None or stamp_ns - self._now.stamp_ns > HOLD_S * 1e9:
+        if self._now is None or stamp_ns - self._now.stamp_ns > NS_PER_S:
             return None
-        return self._silhouette(self._now) if self.is_silhouette else _picture(self._now)
-
-    def _silhouette(self, message: BagMessage) -> np.ndarray:
-        image = message.decode(CompressedImage)
-        mask = decode_silhouette(image, self.camera.width, self.camera.height, message.topic)
+        image = self._now.decode(CompressedImage)
+        mask = decode_silhouette(image, self.camera.width, self.camera.height, self._now.topic)
         grey = np.full(mask.shape, ROOM_GREY, np.uint8)
         grey[mask > 0] = SHADOW_GREY
         grey[mask > SHADOW_CANDIDATE] = BODY_GREY
@@ -193,18 +182,9 @@ def _cell(view: View, picture: np.ndarray | None, there: Mapping[str, tuple[Moti
         write_name(cell, "no picture", (8, height // 2))
     else:
         cell = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-    for body_id, (motion, row) in there.items():
-        points = motion.points_world[row]
-        draw_skeleton(cell, camera, points, window=window)
-        if len(there) > 1:
-            _write_id(cell, camera, points, body_id, scale)
+    for motion, row in there.values():
+        draw_skeleton(cell, camera, motion.points_world[row], window=window)
     return write_name(cell, camera.name)
-
-
-def _write_id(cell: np.ndarray, camera: CameraModel, points: np.ndarray, body_id: str, scale: float) -> None:
-    (head,) = camera.project(points[[HEAD]]) * scale
-    if np.isfinite(head).all() and 0 <= head[0] < cell.shape[1] and 0 <= head[1] < cell.shape[0]:
-        write_name(cell, body_id, (round(head[0]) - 24, max(18, round(head[1]) - 12)))
 
 
 def _views(take: Take) -> list[View]:
@@ -216,20 +196,8 @@ def _views(take: Take) -> list[View]:
     if not cameras:
         remedy = "Record the cameras' topics, too."
         raise InputError("holds no silhouettes of any camera", where=str(take.path), remedy=remedy)
-    rig = load_rig(rig_file)
-    return [_view(take, rig.camera(name)) for name in cameras]
-
-
-def _view(take: Take, camera: CameraModel) -> View:
-    for suffix in PICTURE_SUFFIXES:
-        topic = f"/{camera.name}{suffix}"
-        if take.topics.get(topic):
-            return View(camera, read_messages(take.path, topic.__eq__), False)
-    topic = f"/{camera.name}{SILHOUETTE_SUFFIX}"
-    return View(camera.undistorted_view().camera, read_messages(take.path, topic.__eq__), True)
-
-
-def _picture(message: BagMessage) -> np.ndarray:
-    kind = CompressedImage if message.topic.endswith("compressed") else Image
-    image = decode_image(message.decode(kind), message.topic)
-    return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+    rig, views = load_rig(rig_file), []
+    for name in cameras:
+        messages = read_messages(take.path, f"/{name}{SILHOUETTE_SUFFIX}".__eq__)
+        views.append(View(rig.camera(name).undistorted_view().camera, messages))
+    return views

@@ -29,14 +29,14 @@ from ..graph.topics import DIAGNOSTICS_TOPIC, LATCHED_TOPICS, type_of
 from ..recording.reader import BagMessage, open_bag, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import STATE, kind_of
 from ..recording.recorder import has_header
-from ..recording.writer import BagWriter, own_version
+from ..recording.writer import BagWriter
 from .measure import SIDECAR_TAKE, finish_take, measure, read_summary
 from .take import Summary, Take, TakeState, check_name
 
 TAKES = "output/takes"
 """Where takes go unless told otherwise."""
 BIN = ".bin"
-BINNED = re.compile(r"(?P<name>.+)~(?P<when>\d{8}-\d{6})(?:-(?P<number>\d+))?")
+BINNED = re.compile(r"(?P<name>.+)~(?P<when>\d{8}-\d{6}).*")
 """A deleted take: its name, when it was deleted, and the nanoseconds of that; no name has a tilde."""
 SAME_DATE = "%Y%m%d-%H%M%S"
 
@@ -99,7 +99,7 @@ class TakesFolder:
     def deleted(self) -> list[DeletedTake]:
         """Return what is in the bin, deleted last first."""
         names = [match for path in (self.path / BIN).glob("*") if (match := BINNED.fullmatch(path.name))]
-        names.sort(key=lambda match: (match["when"], int(match["number"] or 0)), reverse=True)
+        names.sort(key=lambda match: match[0].removeprefix(match["name"]), reverse=True)
         return [DeletedTake(self.path / BIN / match[0], match["name"], match["when"]) for match in names]
 
     def restore(self, name: str) -> Path:
@@ -275,10 +275,5 @@ def _stamp_ns(message: BagMessage) -> int | None:
 
 def _provenance(take: Take, from_s: float, to_s: float | None) -> dict[str, Any]:
     """Return the take's own provenance, and what the part is of."""
-    provenance = dict(read_provenance(take.path))
-    origin: dict[str, Any] = {"take": take.name, "from_s": from_s, "to_s": to_s, "by": own_version()}
-    if take.summary is not None:
-        origin["files"] = {name: dict(file) for name, file in take.summary.files.items()}
-    if take.trimmed_from is not None:
-        origin["trimmed_from"] = dict(take.trimmed_from)
-    return {"software": {}, **provenance, "trimmed_from": origin}
+    origin = {"take": take.name, "from_s": from_s, "to_s": to_s, "trimmed_from": take.trimmed_from}
+    return {"software": {}, **read_provenance(take.path), "trimmed_from": origin}

@@ -23,7 +23,7 @@ from ..graph.ros_link import RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
 from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
-from ..takes.folder import TakesFolder, trim
+from ..takes.folder import TakesFolder
 from ..takes.measure import finish_take
 from ..takes.take import MIB
 
@@ -123,15 +123,10 @@ class Control:
 
     def reset(self) -> str:
         """Forget all persons, and look for them anew."""
-        owners = owners_of(self._link.node, RESET, RESET_TYPE)
-        requests = {f"{owner}/{RESET}": Trigger.Request() for owner in sorted(owners)}
-        if not requests:
-            return "no tracker is in the graph"
-        replies = call_all(self._link.node, Trigger, requests, ANSWER_S)
-        return "; ".join(
-            f"{service.rpartition('/')[0]}: {reply.message if reply is not None else 'did not answer'}"
-            for service, reply in replies.items()
-        )
+        requests = {owner: Trigger.Request() for owner in sorted(owners_of(self._link.node, RESET, RESET_TYPE))}
+        replies = call_all(self._link.node, Trigger, requests, ANSWER_S, suffix=f"/{RESET}")
+        said = [f"{owner}: {reply.message if reply else 'did not answer'}" for owner, reply in replies.items()]
+        return "; ".join(said) or "no tracker is in the graph"
 
     def learn_background(self, countdown_s: int) -> str:
         """Count down while the person leaves the room, then train every camera."""
@@ -187,51 +182,28 @@ ALL_FORMATS = "all formats"
 SHOWN_EVERY = 15  # frames of a video
 
 
-class TakeActions:
-    """Does what the takes' buttons ask for, as work of ``jobs``; every take is named by its name in one folder."""
+def export_files(takes: TakesFolder, jobs: Jobs, name: str, kind: str, deliver: Deliver) -> str:
+    """Write files of other programs into a take's folder, and give them to who asked, several as one zip."""
+    take = takes.find(name)
+    formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
+    files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=jobs.report)
+    _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
+    return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
 
-    def __init__(self, takes: TakesFolder, jobs: Jobs) -> None:
-        self._takes, self._jobs = takes, jobs
 
-    def rename(self, name: str, new_name: str) -> str:
-        """Give a take another name."""
-        return f"{name} is now {self._takes.rename(name, new_name).name}"
+def draw_video(takes: TakesFolder, jobs: Jobs, name: str, deliver: Deliver) -> str:
+    """Draw a take's video, unless it has been drawn, and give it to who asked."""
+    take = takes.find(name)
+    path = take.path / EXPORTS / VIDEO
 
-    def trim(self, name: str, new_name: str, from_s: float, to_s: float) -> str:
-        """Make a new take of a part."""
-        path = trim(self._takes, name, new_name, from_s, to_s)
-        return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
+    def progress(frame: int, frames: int) -> None:
+        if frame % SHOWN_EVERY == 0:
+            jobs.report(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
 
-    def delete(self, name: str) -> str:
-        """Move a take into the bin."""
-        return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
-
-    def restore(self) -> str:
-        """Bring back what was deleted last."""
-        deleted = self._takes.deleted()
-        return f"{self._takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
-
-    def export(self, name: str, kind: str, deliver: Deliver) -> str:
-        """Write files of other programs into the take's folder, and give them to who asked, several as one zip."""
-        take = self._takes.find(name)
-        formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
-        files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=self._jobs.report)
-        _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
-        return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
-
-    def video(self, name: str, deliver: Deliver) -> str:
-        """Draw the take's video, unless it has been drawn, and give it to who asked."""
-        take = self._takes.find(name)
-        path = take.path / EXPORTS / VIDEO
-
-        def progress(frame: int, frames: int) -> None:
-            if frame % SHOWN_EVERY == 0:
-                self._jobs.report(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
-
-        if not path.exists():
-            write_video(take, path, progress=progress)
-        deliver(f"{name}.mp4", path.read_bytes())
-        return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
+    if not path.exists():
+        write_video(take, path, progress=progress)
+    deliver(f"{name}.mp4", path.read_bytes())
+    return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
 
 
 def _deliver(paths: list[Path], name: str, deliver: Deliver) -> None:

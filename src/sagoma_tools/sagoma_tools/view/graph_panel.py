@@ -26,6 +26,7 @@ from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
+from ..takes.folder import TakesFolder
 from .control import Control, Deliver, Jobs, Work, add_buttons
 from .scene import Figure
 
@@ -169,34 +170,37 @@ COUNTDOWN_S = 10
 
 
 class GraphPanel:
-    """The tabs "Live" and "Cameras"; their checkboxes ``voxels`` and ``pictures`` say whether these are wanted."""
+    """The tabs "Live" and "Cameras" of the graph that ``link`` is in; recordings go into ``takes``."""
 
-    def __init__(self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, live: LiveGraph, control: Control, jobs: Jobs):
-        self._gui, self._live = gui, live
+    def __init__(
+        self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, link: RosLink, takes: TakesFolder, jobs: Jobs
+    ) -> None:
+        diagnostics = DiagnosticsTable(link.node)
+        self.live, self.control, self._gui = LiveGraph(link, diagnostics), Control(link, diagnostics, takes, jobs), gui
         with tabs.add_tab("Live"):
-            _add_controls(gui, control, jobs)
+            _add_controls(gui, self.control, jobs)
             self.voxels = gui.add_checkbox("hull voxels", False)
             self._states = gui.add_html("")  # below: its length changes, and buttons must not move under the mouse
         with tabs.add_tab("Cameras"):
-            self.pictures = gui.add_checkbox(
-                "pictures", False, hint="what each camera sees with its silhouette's outline, a few times a second"
-            )
+            hint = "what each camera sees with its silhouette's outline, a few times a second"
+            self._pictures = gui.add_checkbox("pictures", False, hint=hint)
             self._picture_folder = gui.add_folder(None)
 
-    def show_states(self) -> dict[str, str]:
-        """Say how every node is; returns the cameras in trouble, and what it is."""
-        now_s, reports = time.monotonic(), self._live.reports()
-        self._states.content = states_html(reports, now_s)
-        return {
-            label_of(name): trouble
-            for name, report in reports.items()
-            if is_camera(name) and (trouble := trouble_of(report, now_s))
-        }
+    def figures(self) -> dict[str, Figure]:
+        """Return everybody, and subscribe to what is wanted."""
+        self.live.watch(voxels=self.voxels.value, pictures=self._pictures.value)
+        return self.live.figures()
 
-    def show_pictures(self) -> None:
-        """Draw the cameras' newest pictures."""
-        if self.pictures.value:
-            self._live.draw_pictures(self._gui, self._picture_folder)
+    def show(self) -> None:
+        """Say how every node is; draw the cameras' newest pictures."""
+        self._states.content = states_html(self.live.reports(), time.monotonic())
+        if self._pictures.value:
+            self.live.draw_pictures(self._gui, self._picture_folder)
+
+    def close(self) -> None:
+        """Finish a recording under way; subscribe to nothing any more."""
+        self.live.watch_nothing()
+        self.control.close()
 
 
 def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
@@ -242,35 +246,27 @@ NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs
 UNHEARD = "has not been heard yet"
 
 
-def trouble_of(report: NodeReport | None, now_s: float) -> str:
-    """Return why nothing comes from a node: it is silent, or says error; empty while it works."""
-    if report is None:
-        return ""
-    silent_s = now_s - report.heard_s
-    if silent_s > STALE_S:
-        return f"silent {silent_s:.0f} s"
-    return "error" if COLOURS.get(report.level, RED) == RED else ""
-
-
 def states_html(reports: Mapping[str, NodeReport | None], now_s: float) -> str:
     """Return a block a node (full name -> its last report), cameras last; those in trouble first of their kind."""
     if not reports:
         return _html(GREY, "nothing to see yet", "", NO_NODES)
-    order = sorted(reports, key=lambda name: (is_camera(name), not trouble_of(reports[name], now_s), name))
-    return "".join(_block(label_of(name), reports[name], now_s) for name in order)
+    blocks = {name: _condition(report, now_s) for name, report in reports.items()}
+    order = sorted(blocks, key=lambda name: (is_camera(name), blocks[name][0] != RED, name))
+    return "".join(_html(blocks[name][0], label_of(name), *blocks[name][1:]) for name in order)
 
 
-def _block(label: str, report: NodeReport | None, now_s: float) -> str:
+def _condition(report: NodeReport | None, now_s: float) -> tuple[str, str, str]:
+    """Return a node's colour, figures and what it says."""
     if report is None:
-        return _html(GREY, label, "", UNHEARD)
+        return GREY, "", UNHEARD
     silent_s = now_s - report.heard_s
     if silent_s > STALE_S:
         since = time.strftime("%H:%M:%S", time.localtime(time.time() - silent_s))
-        return _html(RED, label, "", SILENT.format(since, silent_s))
+        return RED, "", SILENT.format(since, silent_s)
     figures = [f"{report.values[RATE]} Hz"] if RATE in report.values else []
     figures += [f"{report.values[AGE]} ms old"] if AGE in report.values else []
     figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
-    return _html(COLOURS.get(report.level, RED), label, ", ".join(figures), report.message)
+    return COLOURS.get(report.level, RED), ", ".join(figures), report.message
 
 
 def _html(colour: str, label: str, figures: str, says: str) -> str:

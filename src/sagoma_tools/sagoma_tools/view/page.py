@@ -10,9 +10,10 @@ from pathlib import Path
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 
+from ..graph.ros_link import RosLink
 from ..takes.folder import TakesFolder, describe
-from .control import RECORDING, Control, Jobs, TakeActions
-from .graph_panel import GraphPanel, LiveGraph
+from .control import RECORDING, Jobs
+from .graph_panel import GraphPanel
 from .scene import RoomScene
 from .server import Guard, guarded_server
 from .takes_panel import PLAY, Playback, TakesPanel
@@ -25,36 +26,25 @@ class Page:
     """Owns the web server; everything is drawn by one thread, which sleeps while nobody looks."""
 
     def __init__(
-        self,
-        guard: Guard,
-        port: int | None,
-        takes: TakesFolder,
-        live: LiveGraph | None = None,
-        control: Control | None = None,
-        jobs: Jobs | None = None,
-        rig: Rig | None = None,
+        self, guard: Guard, port: int | None, takes: TakesFolder, link: RosLink | None = None, rig: Rig | None = None
     ) -> None:
-        """Without ``live`` and ``control`` the page shows takes alone. ``jobs`` : those that ``control`` was given.
-
-        rig : of the live graph.
-        """
+        """``link`` and ``rig`` : of the live graph; without a link the page shows takes alone."""
         self.server = guarded_server(guard, port)
         self.server.request_share_url = lambda *args, **kwargs: None  # type: ignore[method-assign]  # leaves this room
         gui = self.server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
         gui.main_panel.dock_right()  # the scene beside it, not under it
         gui.set_panel_label("sagoma")
-        self._takes, self._live, self._control, self._jobs = takes, live, control, jobs or Jobs()
+        self._takes, self._jobs = takes, Jobs()
         self._scene, self._rig = RoomScene(self.server), rig
         self._scene.show_rig(rig)
         self._playback: Playback | None = None
         self._watched, self._ended = threading.Event(), threading.Event()
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
-        self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
-        work = TakeActions(takes, self._jobs)
-        leave = self.show_live if live is not None else None
-        self._take_panel = TakesPanel(gui, tabs, work, self._jobs, self.play, leave)
+        self._graph = None if link is None else GraphPanel(gui, tabs, link, takes, self._jobs)
+        leave = None if link is None else self.show_live
+        self._take_panel = TakesPanel(gui, tabs, takes, self._jobs, self.play, leave)
         self.server.on_client_connect(lambda client: self._watched.set())
         self._thread = threading.Thread(target=self._draw, name="page", daemon=True)
         self._thread.start()
@@ -92,13 +82,13 @@ class Page:
         self._jobs.report("")
 
     def close(self) -> None:
-        """Close the page."""
+        """Close the page, and finish a recording under way."""
         self._ended.set()
         self._watched.set()
         self._thread.join()
-        if self._live is not None:
-            self._live.watch_nothing()
         self.server.stop()
+        if self._graph is not None:
+            self._graph.close()
 
     def _show(self, playback: Playback) -> None:
         self._scene.show_rig(playback.rig)
@@ -109,10 +99,8 @@ class Page:
         next_s = 0.0
         while not self._ended.is_set():
             if not self.server.get_clients():
-                if self._live is not None:
-                    self._live.watch_nothing()
-                if self._playback is not None:
-                    self._playback.stand()
+                if self._graph is not None:
+                    self._graph.live.watch_nothing()
                 self._watched.clear()
                 if not self.server.get_clients():  # who came meanwhile has set it
                     self._watched.wait()
@@ -133,20 +121,18 @@ class Page:
             self._scene.show(self._playback.figures_at(now_s))
             self._scene.show_voxels(None)
             self._take_panel.show_progress(self._playback)
-        elif self._live is not None and self._graph is not None:
-            voxels = self._graph.voxels.value
-            self._live.watch(voxels=voxels, pictures=self._graph.pictures.value)
-            self._scene.show(self._live.figures())
-            if not voxels:
+        elif self._graph is not None:
+            self._scene.show(self._graph.figures())
+            if not self._graph.voxels.value:
                 self._scene.show_voxels(None)
-            elif (points := self._live.new_voxels()) is not None:
+            elif (points := self._graph.live.new_voxels()) is not None:
                 self._scene.show_voxels(points)
 
     def _draw_panels(self) -> None:
         """List the takes; say what the last request came to, and how every node is; draw the cameras' pictures."""
         self._jobs.ended.clear()
         self._take_panel.show_takes(self._takes.takes())
-        name = self._control.recording if self._control is not None else ""
+        name = self._graph.control.recording if self._graph is not None else ""
         recording, last = RECORDING.format(name), self._jobs.said
         said = f'<b style="color: #e5484d">&#9679; {escape(recording)}</b><br>' if name else ""
         said += escape(last) if last != recording else ""
@@ -154,6 +140,4 @@ class Page:
             f'<div style="font-size: 14px; min-height: 1.4em; overflow-wrap: anywhere; padding: 0 10px">{said}</div>'
         )
         if self._graph is not None:
-            troubles = self._graph.show_states()
-            self._scene.mark_cameras(troubles if self._playback is None else {})
-            self._graph.show_pictures()
+            self._graph.show()

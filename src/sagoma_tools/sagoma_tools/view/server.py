@@ -16,7 +16,6 @@ import logging
 import math
 import secrets
 import socket
-import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -188,7 +187,6 @@ FRAMING = "Content-Security-Policy", "frame-ancestors 'none'"
 """No other page may show ours in a frame, where a click meant for theirs would press our buttons."""
 HANDSHAKE_FAILED = "opening handshake failed"
 """How websockets calls a connection that asks for nothing: browsers open such in advance."""
-_patching = threading.Lock()
 _log = logging.getLogger("sagoma.view")
 
 
@@ -205,7 +203,7 @@ def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
         return None if server is None else server.gui._gui_input_handle_from_uuid.get(uuid)
 
     listening = listening_socket(guard.host, port)
-    with _patching, _serving(guard, listening, control_of) as served:
+    with _serving(guard, listening, control_of) as served:
         server = viser.ViserServer(host=guard.host, port=listening.getsockname()[1], verbose=False)
     if not served:
         server.stop()
@@ -233,7 +231,7 @@ def listening_socket(host: str, port: int | None) -> socket.socket:
 
 @contextmanager
 def _serving(guard: Guard, listening: socket.socket, control_of: Callable[[str], Any]) -> Iterator[list[bool]]:
-    """While this lasts, servers of websockets listen there, refuse first, and serve the page with our script."""
+    """While this lasts, servers of websockets listen there, and refuse first."""
     original, served = websockets.asyncio.server.serve, []
 
     def serve(handler: Any, *address: Any, process_request: Any = None, **options: Any) -> Any:
@@ -243,7 +241,7 @@ def _serving(guard: Guard, listening: socket.socket, control_of: Callable[[str],
 
         def answer(connection: Any, request: Request) -> Response | None:
             try:
-                response = guard.refusal(request.path, request.headers) or _page(connection, request, process_request)
+                response = guard.refusal(request.path, request.headers) or process_request(connection, request)
             except Exception as error:  # headers that cannot be read, a path too long for a file: not served
                 _log.warning("a request could not be answered: %s", shortened(repr(error)))
                 response = refuse("this request cannot be answered", http.HTTPStatus.BAD_REQUEST)
@@ -263,76 +261,9 @@ def _serving(guard: Guard, listening: socket.socket, control_of: Callable[[str],
         websockets.asyncio.server.serve = original  # type: ignore[misc]
 
 
-def _page(connection: Any, request: Request, serve: Callable[[Any, Request], Response | None]) -> Response | None:
-    """What viser serves; the page itself uncompressed, with our script."""
-    is_page = urlsplit(request.path).path == "/" and request.headers.get("Upgrade", "").lower() != "websocket"
-    if is_page and "Accept-Encoding" in request.headers:
-        del request.headers["Accept-Encoding"]
-    response = serve(connection, request)
-    return with_script(response) if is_page and response is not None else response
-
-
 def _in_one_line(record: logging.LogRecord) -> bool:
     """Log what failed without its traceback, and connections that ask for nothing not at all."""
     if record.exc_info:
         record.msg, record.args = f"{record.getMessage()}: {shortened(repr(record.exc_info[1]))}", ()
         record.exc_info = None
     return not record.getMessage().startswith(HANDSHAKE_FAILED)
-
-
-# script beside viser's client -----------------------------------------------------------------------------------------
-
-
-FULL_FRAME_MS = 25
-"""Between two frames without a GPU: shorter than two refreshes of a 60 Hz screen and longer than one."""
-SCRIPT = """<script>
-document.title = "sagoma";
-(() => {
-    const gl = document.createElement("canvas").getContext("webgl2");
-    const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
-    const renderer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
-    gl?.getExtension("WEBGL_lose_context")?.loseContext();
-    if (!/swiftshader|llvmpipe|software|basic render/i.test(renderer)) return;
-
-    const getContext = HTMLCanvasElement.prototype.getContext;
-    HTMLCanvasElement.prototype.getContext = function (kind, attributes) {
-        const plain = kind.startsWith("webgl") ? {...attributes, antialias: false} : attributes;
-        return getContext.call(this, kind, plain);
-    };
-
-    const request = window.requestAnimationFrame.bind(window), cancel = window.cancelAnimationFrame.bind(window);
-    const waiting = new Map();
-    let drawn = -Infinity, number = 0;
-    window.requestAnimationFrame = callback => {
-        const id = ++number;
-        const refreshed = now => {
-            if (now !== drawn && now - drawn < FULL_FRAME_MS) {
-                waiting.set(id, request(refreshed));
-                return;
-            }
-            drawn = now;
-            waiting.delete(id);
-            callback(now);
-        };
-        waiting.set(id, request(refreshed));
-        return id;
-    };
-    window.cancelAnimationFrame = id => {
-        cancel(waiting.get(id));
-        waiting.delete(id);
-    };
-})();
-</script>""".replace("FULL_FRAME_MS", str(FULL_FRAME_MS))
-HEAD = b"<head>"
-
-
-def with_script(page: Response) -> Response:
-    """Return viser's page, uncompressed, with our script before its own; RuntimeError when it is another page."""
-    before, head, after = page.body.partition(HEAD)
-    if not head:
-        raise RuntimeError("this version of viser serves another page: our script has no place in it")
-    body = before + head + SCRIPT.encode() + after
-    headers = Headers(page.headers)
-    del headers["Content-Length"]
-    headers["Content-Length"] = str(len(body))
-    return Response(page.status_code, page.reason_phrase, headers, body)

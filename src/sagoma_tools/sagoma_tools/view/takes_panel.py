@@ -18,12 +18,14 @@ from capture_rig.rig import Rig, load_rig
 from motion_export.isb_angles import isb_angles
 from motion_export.motion import NS_PER_S, Motion, point_deviations
 
+from ..graph import ROUND_S
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.reader import rig_in
 from ..recording.recorded_motion import recorded_motions
 from ..takes.exporting import FORMATS
+from ..takes.folder import TakesFolder, trim
 from ..takes.take import FIGURES, Take, date, figures, remark, summary_lines
-from .control import ALL_FORMATS, Deliver, Jobs, TakeActions, add_buttons
+from .control import ALL_FORMATS, Deliver, Jobs, add_buttons, draw_video, export_files
 from .scene import Figure
 
 Array = np.ndarray
@@ -53,7 +55,7 @@ class Playback:
     rig: Rig | None = None
     playing: bool = True
     position_s: float = 0.0
-    _moved_s: float | None = None
+    _moved_s: float = -math.inf
 
     @classmethod
     def of(cls, take: Take) -> Playback:
@@ -75,16 +77,11 @@ class Playback:
     def jump(self, seconds: float) -> None:
         """Go on from there."""
         self.position_s = min(max(seconds, 0.0), self.seconds)
-        self.stand()
-
-    def stand(self) -> None:
-        """Do not count the time until the next figures are asked for: nobody looks meanwhile."""
-        self._moved_s = None
 
     def figures_at(self, now_s: float) -> dict[str, Figure]:
-        """Move on to this moment, unless paused; return everybody who is there then."""
-        if self.playing and self._moved_s is not None:
-            self.position_s += max(now_s - self._moved_s, 0.0)
+        """Move on to this moment, unless paused, or nobody has looked for a while; return everybody who is there."""
+        if self.playing and now_s - self._moved_s < ROUND_S:
+            self.position_s += now_s - self._moved_s
             if self.position_s > self.seconds:
                 self.position_s = self.first_pose_s
         self._moved_s = now_s
@@ -135,7 +132,7 @@ class TakesPanel:
         self,
         gui: viser.GuiApi,
         tabs: viser.GuiTabGroupHandle,
-        work: TakeActions,
+        takes: TakesFolder,
         jobs: Jobs,
         play: Callable[[str], None],
         leave: Callable[[], None] | None,
@@ -152,6 +149,20 @@ class TakesPanel:
         def job(what: str, work: Callable[[Deliver], str]) -> Callable[[Deliver], object]:
             return lambda send: jobs.request(what, partial(work, send))
 
+        def rename(send: Deliver) -> str:
+            return f"{self.chosen} is now {takes.rename(self.chosen, name.value).name}"
+
+        def cut(send: Deliver) -> str:
+            path = trim(takes, self.chosen, name.value, begin.value, self._end.value)
+            return f"made {path.name}: {begin.value:.2f} s to {self._end.value:.2f} s of {self.chosen}"
+
+        def delete(send: Deliver) -> str:
+            return f"{takes.delete(self.chosen).name} is in the bin: 'restore' brings it back"
+
+        def restore(send: Deliver) -> str:
+            deleted = takes.deleted()
+            return f"{takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
+
         with tabs.add_tab("Takes"):
             self._choice = gui.add_dropdown("take", (NO_TAKES,))
             self._about = gui.add_html("")
@@ -162,8 +173,8 @@ class TakesPanel:
             with gui.add_folder("for other programs"):
                 kind = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
                 files = {
-                    "export": job("exporting", lambda send: work.export(self.chosen, kind.value, send)),
-                    "video": job("drawing", lambda send: work.video(self.chosen, send)),
+                    "export": job("exporting", lambda send: export_files(takes, jobs, self.chosen, kind.value, send)),
+                    "video": job("drawing", lambda send: draw_video(takes, jobs, self.chosen, send)),
                 }
                 add_buttons(gui, "files", files)
             with gui.add_folder("change"):
@@ -173,18 +184,9 @@ class TakesPanel:
                 marks = {"begin": begin, "end": self._end}
                 mark = {word: lambda send, at=at: _set(at, self._position.value) for word, at in marks.items()}
                 add_buttons(gui, "slider to", mark)
-                part = {
-                    "rename": job("renaming", lambda send: work.rename(self.chosen, name.value)),
-                    "trim": job(
-                        "trimming", lambda send: work.trim(self.chosen, name.value, begin.value, self._end.value)
-                    ),
-                }
-                add_buttons(gui, "take", part)
-                deleted = {
-                    "delete": job("deleting", lambda send: work.delete(self.chosen)),
-                    "restore": job("restoring", lambda send: work.restore()),
-                }
-                add_buttons(gui, "bin", deleted)
+                add_buttons(gui, "take", {"rename": job("renaming", rename), "trim": job("trimming", cut)})
+                bin_ = {"delete": job("deleting", delete), "restore": job("restoring", restore)}
+                add_buttons(gui, "bin", bin_)
         self._position.on_update(self._jump)
         self._choice.on_update(lambda event: self._show_about())
         self._person.on_update(lambda event: self._show_curves() if event.client is not None else None)
@@ -237,19 +239,15 @@ class TakesPanel:
             return
         with self._plots:
             for title, times_s, sides in self._playback.plots(self._person.value):
-                styles = [viser.uplot.Series(label="s")]
-                styles += [
-                    viser.uplot.Series(label=side, stroke=colour, width=2) for side, colour in SIDE_COLOURS.items()
-                ]
-                scales = {"x": NOT_A_DATE, "y": viser.uplot.Scale(range=whole_range(sides))}
+                curves = [viser.uplot.Series(label=side, stroke=ink, width=2) for side, ink in SIDE_COLOURS.items()]
+                known = np.nan_to_num(sides)  # uPlot itself finds no range where a curve begins with NaN
+                y = viser.uplot.Scale(range=(known.min() - MARGIN_DEG, known.max() + MARGIN_DEG))
                 self._gui.add_uplot(
                     (times_s, *sides),
-                    tuple(styles),
-                    title=title,
+                    (viser.uplot.Series(label="s"), *curves),
+                    title=f"{title}, degrees",
                     height=PLOT_PX,
-                    scales=scales,
-                    axes=AXES,
-                    padding=PADDING_PX,
+                    scales={"x": viser.uplot.Scale(time=False), "y": y},
                 )
 
     def _remove_curves(self) -> None:
@@ -297,34 +295,15 @@ class TakesPanel:
 WORDS = {"persons": "persons: {}", "± mm": "± {} mm"}
 """Figures whose title does not stand behind them."""
 TEXT = "font-size: 13px; line-height: 1.35; overflow-wrap: anywhere; padding: 0 10px"
-NOT_A_DATE = viser.uplot.Scale(time=False)
-"""Of a curve's times: seconds of the take."""
 SIDE_COLOURS = dict(zip(SIDES, ("#5aa9ff", "#ff9a4d"), strict=True))
 PLOT_PX = 150
 """Height of a plot: two of them stand below the player on a laptop's screen."""
-PADDING_PX = (10, 16, 0, 0)
-"""Above, right, below, left of the curves: room for half of the uppermost number."""
-INK, GRID = "#d5d8dd", viser.uplot.Axis_Grid(stroke="#3d4149", width=1)
-AXES = (
-    viser.uplot.Axis(label="seconds", stroke=INK, grid=GRID, size=26, labelSize=18),
-    viser.uplot.Axis(label="degrees", stroke=INK, grid=GRID, size=40, labelSize=18),
-)
-GRID_DEG = 30.0
-"""Curves' ranges begin and end at multiples of it."""
+MARGIN_DEG = 10.0
 
 
 def _set(handle: Any, value: object) -> None:
     """Set a control's value: viser's types call it read-only, its descriptors do not."""
     handle.value = value
-
-
-def whole_range(curves: np.ndarray) -> tuple[float, float]:
-    """Return the range of all curves in degrees; given, because uPlot finds none where a curve begins with NaN."""
-    values = curves[np.isfinite(curves)]
-    if not len(values):
-        return -GRID_DEG, GRID_DEG
-    low = GRID_DEG * np.floor(values.min() / GRID_DEG)
-    return float(low), float(max(GRID_DEG * np.ceil(values.max() / GRID_DEG), low + GRID_DEG))
 
 
 def about_html(take: Take) -> str:
