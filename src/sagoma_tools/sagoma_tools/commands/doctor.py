@@ -47,7 +47,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--regions", metavar="FILE.yaml", type=Path, help=help_regions)
     help_lenses = "the cameras' own calibrations (default: beside the rig file)"
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
-    option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
     add_namespace_argument(parser)
     option("--seconds", type=number("s", 0.1, 3600), default=ANSWER_S, help="how long to listen (default: %(default)g)")
@@ -102,7 +101,7 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
         yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
-    if args.session is not None or args.rig is not None:
-        yield from about("rig", examine_rig(args.rig, args.session, args.intrinsics))
+    if args.rig is not None:
+        yield from about("rig", examine_rig(args.rig, args.intrinsics))
     if args.live:
         yield from about("graph", examine_graph(args.seconds, args.rig, namespace=namespace_argument(args)))

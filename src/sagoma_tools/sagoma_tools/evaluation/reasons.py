@@ -28,8 +28,7 @@ NEXT = re.compile(rf"; (?=(?:body \d+|{'|'.join(PART_NAMES)}): )")
 """Between what is said of one body, or of one part of the body, and of the next."""
 OF_A_BODY = re.compile(r"^body \d+: ")
 REMEDY = (
-    "What to do about each: docs/tracking.md, 'Why it refuses'. Of footage and rig, sagoma doctor --session SESSION "
-    "says what is wrong."
+    "What to do about each: docs/tracking.md, 'Why it refuses'; what is wrong with the rig, sagoma doctor --rig says."
 )
 
 
