@@ -32,7 +32,7 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import Video
 
 from ..arguments import NODES
-from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, until_stopped
+from ..console import GRADE_STYLE, INTERRUPTED, CommandConsole, doing, until_stopped
 from ..graph import START_TIMEOUT_S
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
@@ -74,7 +74,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find the clients, wait for the empty room, train, report; the exit status is the worst verdict's."""
-    console = command_console()
+    console = CommandConsole()
     if args.from_footage:
         return run_from_footage(console, args.from_footage)
     with StopOnSignal() as stop, RosLink("sagoma_background", namespace=namespace_argument(args)) as link:
@@ -215,7 +215,7 @@ def print_outcomes(console: Console, outcomes: Sequence[TrainingOutcome]) -> Non
 
 def run_show(args: argparse.Namespace) -> int:
     """Print where each saved background comes from and what can be found against it, and write its pictures."""
-    console, before = command_console(), load_background(args.against) if args.against else None
+    console, before = CommandConsole(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)
         shown = {**asdict(model.provenance), "image": shape_text(model.shape), "moved": f"{model.moving_share:.2%}"}

@@ -20,7 +20,7 @@ from rig_calibration.boards.drawing import PAPER_MM, print_size_m, save_for_prin
 from rig_calibration.intrinsics.calibrate import AUTO
 
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
-from ..console import command_console
+from ..console import CommandConsole
 
 INTRINSICS_FOLDER = "output/intrinsics"
 MODELS = (*COEFFICIENTS, AUTO)
@@ -83,7 +83,7 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
     if bool(args.sources) == bool(args.topic):
         remedy = "For example: sagoma calibrate intrinsics FOLDER --board 'checkerboard 9x6 25mm'."
         raise InputError("give either footage or --topic", where="sagoma calibrate intrinsics", remedy=remedy)
-    board, console = read_board(args.board), command_console(stderr=args.json)
+    board, console = read_board(args.board), CommandConsole(stderr=args.json)
     failures: list[InputError] = []
     if args.topic:
         from ..calibration.live_lens import calibrate_live  # ROS takes a second to load
@@ -103,7 +103,6 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
 
 
 NOT_GOOD_ENOUGH = 1
-WIDTH = 120
 EPILOG = """\
 A SOURCE is a folder (cam01.mp4, cam02.png, cam03/*.jpg ...), one video or still, or NAME=PATH.
 The world: z up, origin on the floor in the middle of the floor board, x along its rows."""
@@ -167,7 +166,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
     """Calibrate; 0 when the rig can be used, 1 when it should be calibrated again."""
     from ..calibration.extrinsics import calibrate_extrinsics, request_from  # solver and numba take a second to load
 
-    request, console = request_from(args), command_console(width=WIDTH)
+    request, console = request_from(args), CommandConsole()
     if args.live:
         from ..calibration.rig_live import LiveSources
         from ..graph.ros_link import RosLink

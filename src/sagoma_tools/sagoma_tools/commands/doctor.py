@@ -12,7 +12,7 @@ from capture_rig.rig import load_rig, save_rig
 from capture_rig.settings import number
 from capture_rig.stop_signals import StopOnSignal
 
-from ..console import command_console, doing, until_stopped
+from ..console import CommandConsole, doing, until_stopped
 from ..doctor.cameras import examine_camera
 from ..doctor.findings import Finding, about, exit_status, show, summary
 from ..doctor.graph import examine_graph
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         listed = [finding.as_dict() for finding in findings]
         print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))
     else:
-        show(findings, command_console(), all_of_them=args.all)
+        show(findings, CommandConsole(), all_of_them=args.all)
     return status
 
 

@@ -21,7 +21,7 @@ from mocap_pipeline.configuration import Configuration
 from stick_figure.body import STATURES_M, TYPICAL_STATURE_M, Body, load_body
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
-from ..console import command_console, doing, plain_table
+from ..console import CommandConsole, doing, plain_table
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.smoothing import smooth_bag
 from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
@@ -92,7 +92,8 @@ def list_takes(args: argparse.Namespace) -> int:
     if not takes:
         print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
         return 0
-    console, table = command_console(), plain_table("", ("take", "recorded"), FIGURES, [""])
+    console, table = CommandConsole(), plain_table("", ("take", "recorded"), FIGURES)
+    table.add_column("", no_wrap=True)
     for take in takes:
         table.add_row(take.name, date(take), *figures(take), remark(take), style=STATE_STYLE[take.state])
     console.print(table)
@@ -113,7 +114,7 @@ def show(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     if args.json:
         print(json.dumps(take.document(), indent=1))
         return 0 if take.state is TakeState.WHOLE else 1
-    console = command_console()
+    console = CommandConsole()
     console.print(f"{take.name}   {date(take)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold")
     console.print(f"  {take.path.resolve()}")
     if take.state is not TakeState.WHOLE:
@@ -142,7 +143,7 @@ def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     if args.json:
         print(json.dumps([vars(each) for each in checks], indent=1))
     else:
-        console = command_console()
+        console = CommandConsole()
         for each in checks:
             console.print(Text.assemble((f"{each.grade:8s}", CHECK_STYLE[each.grade]), each.text))
     return 1 if any(each.grade == ERROR for each in checks) else 0
@@ -215,7 +216,7 @@ def measure_anew(args: argparse.Namespace, folder: TakesFolder, name: str) -> in
     summary = finish_take(take.path, doing("reading messages")) if take.state is TakeState.WHOLE else None
     if summary is None:
         raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
-    print_figures(command_console(), summary)
+    print_figures(CommandConsole(), summary)
     return 0
 
 
