@@ -167,9 +167,9 @@ HELP: Mapping[str, CommandHelp] = {
     "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
     "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
-    "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
+    "urdf": CommandHelp(("urdf --stature 1.82",)),
     "doctor": CommandHelp(
-        ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),
+        ("doctor", f"doctor --rig {RIG} --live", "doctor --camera cam01.yaml --open", "doctor --host 192.168.1.11"),
         {OK: "all is well, or notes only", FAILED: "warnings", BAD_INPUT: "errors, or arguments that cannot be used"},
     ),
 }

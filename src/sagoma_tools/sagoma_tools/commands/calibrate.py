@@ -20,11 +20,10 @@ from rig_calibration.boards.drawing import PAPER_MM, print_size_m, save_for_prin
 from rig_calibration.intrinsics.calibrate import AUTO
 
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
-from ..console import CommandConsole
+from ..console import FAILED, CommandConsole
 
 INTRINSICS_FOLDER = "output/intrinsics"
 MODELS = (*COEFFICIENTS, AUTO)
-FAILED = 1
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -102,7 +101,6 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
 # extrinsics -----------------------------------------------------------------------------------------------------------
 
 
-NOT_GOOD_ENOUGH = 1
 EPILOG = """\
 A SOURCE is a folder (cam01.mp4, cam02.png, cam03/*.jpg ...), one video or still, or NAME=PATH.
 The world: z up, origin on the floor in the middle of the floor board, x along its rows."""
@@ -180,7 +178,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
 
         footage = FootageSources(args.floor, args.moving or (), args.wand, args.without)
         calibrated = calibrate_extrinsics(request, footage, console)
-    return NOT_GOOD_ENOUGH if calibrated.verdict.grade == REDO else 0
+    return FAILED if calibrated.verdict.grade == REDO else 0
 
 
 def _ask(console: Console, what: str) -> None:

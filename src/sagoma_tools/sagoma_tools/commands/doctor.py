@@ -36,9 +36,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description=DESCRIPTION,
     )
     option = parser.add_argument
-    help_camera = "'camera PARAMS.yaml' is --camera PARAMS.yaml"
-    option("what", nargs="?", choices=["camera"], help=help_camera)
-    option("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
     help_camera = "a camera's parameter file (any number of times)"
     option("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path, help=help_camera)
     option("--open", action="store_true", help="take control of those cameras for a moment, as their clients would")
@@ -58,15 +55,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C",
     )
     option("--no-machine", action="store_true", help="leave this machine out")
-    option("--all", action="store_true", help="also print what is well in words")
     option("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Examine and print; the exit status is the gravest finding's."""
-    if args.what == "camera" and args.parameters is None:
-        raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if args.answer:
         return answer()
     if args.regions is not None:
@@ -81,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         listed = [finding.as_dict() for finding in findings]
         print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))
     else:
-        show(findings, CommandConsole(), all_of_them=args.all)
+        show(findings, CommandConsole())
     return status
 
 
@@ -98,7 +92,7 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
     if not args.no_machine:
         yield from examine_machine()
-    for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
+    for path in args.camera:
         yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
     if args.rig is not None:

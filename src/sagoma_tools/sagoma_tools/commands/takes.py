@@ -133,8 +133,7 @@ def show(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
 
 def print_figures(console: Console, summary: Summary) -> None:
     """Print a take's figures, moved in."""
-    for line in summary_lines(summary):
-        console.print(f"  {line}")
+    console.print("\n".join(f"  {line}" for line in summary_lines(summary)))
 
 
 def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
@@ -281,19 +280,12 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")
     parser.add_argument("--rep155", action="store_true", help="the URDF of REP-155, for /humans/bodies/ID/joint_states")
-    parser.add_argument("--output", help="file to write (default: print it)")
     parser.set_defaults(run=run_urdf)
 
 
 def run_urdf(args: argparse.Namespace) -> int:
-    """Print or write the URDF."""
+    """Print the URDF."""
     body = load_body(args.body) if args.body else Body.from_stature(args.stature)
     body_id = body_id_of(args.id, FIRST_PERSON)
-    text = (human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass)
-    if not args.output:
-        sys.stdout.write(text)
-        return 0
-    with open(args.output, "x") as file:
-        file.write(text)
-    print(f"written: {args.output}")
+    sys.stdout.write((human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass))
     return 0
