@@ -6,12 +6,13 @@ Processes that tests start inherit it.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import gc
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -21,6 +22,7 @@ import pytest
 DOMAINS = range(30, 100)  # ports stay below those of outgoing connections
 _FIRST_PORT, _PORTS = 7400, 250  # of DDS: those of domain d begin at 7400 + 250 d
 _OF_PARTICIPANTS = 10  # the first of these that is one participant's own; those below are bound by who listens to all
+_LOCKS: dict[int, IO[str]] = {}  # of the domains that no other test process takes until this one ends, however it ends
 
 
 def domains_in_use() -> set[int]:
@@ -30,44 +32,25 @@ def domains_in_use() -> set[int]:
     return {domain for domain, port in ports if port >= _OF_PARTICIPANTS}
 
 
-class OwnDomains:
-    """Domains that no other test process of this machine takes, until this one ends, however it ends."""
+def quiet_domain() -> int:
+    """Return a domain of this process in which no node runs. RuntimeError when every domain is in use.
 
-    def __init__(self, domains: Iterable[int] = DOMAINS) -> None:
-        self._candidates = list(domains)
-        self._locks: dict[int, IO[str]] = {}
-
-    def quiet(self) -> int:
-        """Return a domain of ours in which no node runs.
-
-        Contexts of earlier tests keep their nodes in the graph until Python has freed them; the nodes of processes
-        that are ending are there, too. A graph of the same names would be refused beside them.
-        Raises RuntimeError when every domain is in use.
-        """
-        for free_leftovers in (lambda: None, gc.collect):
-            free_leftovers()
-            in_use = domains_in_use()
-            for domain in self._locks:
-                if domain not in in_use:
-                    return domain
-        return self._take(in_use)
-
-    def _take(self, in_use: set[int]) -> int:
-        folder = Path(tempfile.gettempdir()) / f"sagoma_test_domains_{os.getuid()}"
-        folder.mkdir(exist_ok=True)
-        for domain in self._candidates:
-            if domain in in_use or domain in self._locks:
-                continue
-            lock = (folder / str(domain)).open("w")
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                lock.close()
-                continue
-            self._locks[domain] = lock
+    Contexts of earlier tests keep their nodes in the graph until Python has freed them; the nodes of processes that are
+    ending are there, too. A graph of the same names would be refused beside them.
+    """
+    gc.collect()
+    folder, in_use = Path(tempfile.gettempdir()) / f"sagoma_test_domains_{os.getuid()}", domains_in_use()
+    folder.mkdir(exist_ok=True)
+    for domain in (*_LOCKS, *DOMAINS):
+        if domain in in_use:
+            continue
+        lock = _LOCKS.get(domain) or (folder / str(domain)).open("w")
+        with contextlib.suppress(BlockingIOError):  # another test process has it
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _LOCKS[domain] = lock
             return domain
-        first, last = self._candidates[0], self._candidates[-1]
-        raise RuntimeError(f"all ROS domains from {first} to {last} are in use by other test runs")
+        lock.close()
+    raise RuntimeError(f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use by other test runs")
 
 
 hypothesis.settings.register_profile("any machine", deadline=None)  # a busy one fails no test
@@ -81,7 +64,6 @@ os.environ["ROS_LOG_DIR"] = _LOGS.name
 # two test runs side by side (or a live graph) do not hear each other; a domain that was chosen is that of one process:
 # the graphs of several would hear each other
 _CHOSEN_DOMAIN = None if "PYTEST_XDIST_WORKER" in os.environ else os.environ.get("ROS_DOMAIN_ID")
-_domains = OwnDomains()
 _domain_of: dict[Path, str] = {}  # file of tests -> its domain; of the current file alone
 
 # a shell's background job inherits SIGINT ignored, and would hand that on to the processes that tests interrupt
@@ -129,7 +111,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     if _CHOSEN_DOMAIN is None:
         if item.path not in _domain_of:
             _domain_of.clear()
-            _domain_of[item.path] = str(_domains.quiet())
+            _domain_of[item.path] = str(quiet_domain())
         os.environ["ROS_DOMAIN_ID"] = _domain_of[item.path]
 
 

@@ -28,8 +28,8 @@ and examples. This page is printed from `sagoma_tools/console.py` by `python scr
 - **Progress** stands on stderr: on a terminal in a line that goes when it is over, elsewhere as a plain line every ten
   seconds.
 - **Pipes and files** get plain text without escape codes; colours only on terminals, none with `NO_COLOR` set.
-- **Width**: that of the terminal, or of `COLUMNS` (150 into a file). No path is broken; a table that does not fit
-  becomes a list.
+- **Width**: text is broken at that of the terminal, or of `COLUMNS`, into a file nowhere; paths and rows of tables
+  never.
 - **Ctrl-C** ends a command in order: what it started is stopped, what it recorded is readable.
 """
 

@@ -239,35 +239,21 @@ def test_a_session_without_a_background_is_an_error_of_evaluate(three_cameras: P
     assert status == 2 and "there is no background for cam03" in said and "Add cam03_background" in said
 
 
-def test_a_host_plays_no_footage_without_a_beginning_that_all_hosts_have(three_cameras: Path) -> None:
-    status, said = run("up", three_cameras, "--only", "cam01")
-    assert status == 2 and "footage.epoch_ns" in said
-
-
-def test_a_camera_whose_name_can_be_no_topic_is_an_error(tmp_path: Path) -> None:
-    save_rig(ring(2), tmp_path / "rig.yaml")
-    (tmp_path / "rig.yaml").write_text((tmp_path / "rig.yaml").read_text().replace("cam01", "left camera"))
-    with pytest.raises(InputError, match=r"rig\.yaml.*'left camera' cannot be a camera's name"):
-        load_rig(tmp_path / "rig.yaml")
-
-
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("line", "says"),
     [
-        (("replay", "x" * 5000), "there is no such bag"),
-        (("evaluate", "x" * 5000), "is not a folder|File name too long"),
-        (("up", "--rig", "rig.yaml", "--set", "hull_server.voxel_size_m=[1"), "--set hull_server.voxel_size_m: is not"),
-        (("studio", "set", "gain=[1"), "sagoma studio: gain: is not valid YAML"),
-        (("studio", "set", "gain="), "sagoma"),
-        (("calibrate", "intrinsics", "--topic", "bad topic", "--board", "checkerboard:8x5:0.1"), "sagoma"),
+        (f"replay {'x' * 5000}", "there is no such bag"),
+        ("up --rig rig.yaml --set hull_server.voxel_size_m=[1", "--set hull_server.voxel_size_m: is not"),
+        ("up --rig spaced.yaml", "'left camera' cannot be a camera's name"),
+        ("studio set gain=[1", "sagoma studio: gain: is not valid YAML"),
     ],
 )
-def test_broken_arguments_are_errors(words: tuple[str, ...], says: str, tmp_path: Path, monkeypatch) -> None:
+def test_broken_arguments_are_errors(line: str, says: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     save_rig(ring(1, False), tmp_path / "rig.yaml")
-    status, said = run(*words)
-    assert status == 2 and said.startswith("sagoma: ") and "Traceback" not in said
-    assert any(part in said for part in says.split("|")), said
+    (tmp_path / "spaced.yaml").write_text((tmp_path / "rig.yaml").read_text().replace("cam01", "left camera"))
+    status, said = run(*line.split())
+    assert status == 2 and said.startswith("sagoma: ") and says in said
 
 
 def bag_of(folder: Path, kind: str, data: bytes) -> Path:

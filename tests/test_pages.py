@@ -26,82 +26,62 @@ MOST_PAGES = 25
 CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
 
 
-def page_of_code() -> list[str]:
-    """Lines of the README's block of the pipeline."""
-    block = re.search(r"```python\n(# segment.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
-    assert block is not None
-    return block.group(1).splitlines()
+PROGRAM = r"\b(?:bench|models|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh)\b"
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
 
 
 def test_every_statement_of_the_readme_s_page_stands_in_the_pipeline_in_the_same_order():
-    pipeline = (ROOT / PAGE).read_text(encoding="utf-8")
-    statements = [line.split("  #")[0].strip() for line in page_of_code() if not line.startswith("#")]
+    pipeline, (block,) = read(ROOT / PAGE), re.findall(r"```python\n(# segment.*?)```", read(ROOT / "README.md"), re.S)
+    statements = [line.split("  #")[0].strip() for line in block.splitlines() if not line.startswith("#")]
     places = [pipeline.find(statement) for statement in statements]
     assert len(statements) >= 7
     assert -1 not in places and places == sorted(places)
 
 
-def test_every_page_stands_in_the_list_of_pages():
-    listed = set(re.findall(r"\]\((\w+\.md)\)", (ROOT / "docs" / "index.md").read_text(encoding="utf-8")))
-    assert listed == {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
-    assert len(listed) < MOST_PAGES
-
-
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as GitHub makes them."""
-    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.M)
+    headings = re.findall(r"^#+ (.+)$", read(page), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_every_link_of_the_documentation_leads_to_a_file_and_its_heading():
-    links = [
-        (page, page.parent / target if target else page, anchor)
-        for page in PAGES
-        for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", page.read_text(encoding="utf-8"))
-        if not target.startswith(("http:", "https:"))
-    ]
-    assert sum(bool(anchor) for *_, anchor in links) > 30
-    assert not [
-        f"{page.relative_to(ROOT)}: {target.name}#{anchor}"
-        for page, target, anchor in links
-        if not target.exists() or (anchor and anchor not in anchors(target))
-    ]
+def wrong_links() -> Iterator[str]:
+    """Links of pages that lead to no file, or to no heading of it."""
+    for page in PAGES:
+        for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", read(page)):
+            place = page.parent / target if target else page
+            if not target.startswith(("http:", "https:")) and not (
+                place.exists() and (not anchor or anchor in anchors(place))
+            ):
+                yield f"{page.relative_to(ROOT)}: {target}#{anchor}"
 
 
-def test_every_image_stands_in_a_page():
-    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    assert not [image.name for image in (ROOT / "docs" / "images").iterdir() if f"images/{image.name})" not in text]
-
-
-def test_every_page_that_code_names_exists():
-    files = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.*")) if path.suffix in NAMING]
-    named = {
-        (path.relative_to(ROOT), page)
-        for path in [ROOT / "Makefile", *files]
-        for page in re.findall(r"\bdocs/(\w+\.md)\b", path.read_text(encoding="utf-8"))
-    }
-    assert len(named) > 20
-    assert not [f"{path}: {page}" for path, page in sorted(named) if not (ROOT / "docs" / page).exists()]
-
-
-def test_every_script_and_test_that_the_documentation_names_exists():
-    named = re.compile(r"\b((?:bench|models|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh))\b")
-    found = {(page, path) for page in PAGES for path in named.findall(page.read_text(encoding="utf-8"))}
-    assert len(found) > 15
-    assert not [f"{page.relative_to(ROOT)}: {path}" for page, path in sorted(found) if not (ROOT / path).exists()]
+def test_every_link_image_page_and_program_that_pages_and_code_name_is_there():
+    assert not [*wrong_links()]
+    listed = set(re.findall(r"\]\((\w+\.md)\)", read(DOCS / "index.md")))
+    assert listed == {page.name for page in DOCS.glob("*.md")} - {"index.md"} and len(listed) < MOST_PAGES
+    text = "".join(map(read, PAGES))
+    assert not [image.name for image in (DOCS / "images").iterdir() if f"images/{image.name})" not in text]
+    code = [path for folder in CODE for path in (ROOT / folder).rglob("*.*") if path.suffix in NAMING]
+    named = {page for path in [ROOT / "Makefile", *code] for page in re.findall(r"\bdocs/\w+\.md\b", read(path))}
+    programs = set(re.findall(PROGRAM, text))
+    assert len(named) > 12 < len(programs)
+    assert not [path for path in sorted(named | programs) if not (ROOT / path).exists()]
 
 
 # --- reference pages
 
 
 def test_the_lists_of_parameters_are_those_of_the_settings():
-    page = (DOCS / "parameters.md").read_text(encoding="utf-8")
+    page = read(DOCS / "parameters.md")
     assert with_lists(page) == page, "run python scripts/reference.py"
     assert all(f"\n- `{leaf.key}`" in page for settings in SETTINGS.values() for leaf in leaves(settings))
 
 
 def test_every_topic_of_the_graph_stands_in_its_table_with_its_type_and_whether_it_is_latched():
-    rows = [line.split("|") for line in (DOCS / "ros.md").read_text(encoding="utf-8").splitlines() if line[:3] == "| `"]
+    rows = [line.split("|") for line in read(DOCS / "ros.md").splitlines() if line[:3] == "| `"]
     table = {name: (row[2].strip(), "latched" in row[-2]) for row in rows for name in re.findall(r"`(/[^`]+)`", row[1])}
     topics = (*OUTPUT_TOPICS, DIAGNOSTICS, *camera_topics("CAM"))
     expected = {topic.name: (topic.msgtype.replace("/msg/", "/"), topic.latched) for topic in topics}
@@ -109,7 +89,7 @@ def test_every_topic_of_the_graph_stands_in_its_table_with_its_type_and_whether_
 
 
 def test_every_cause_of_a_bad_silhouette_that_the_page_names_is_one_that_a_client_finds():
-    section = (DOCS / "silhouettes.md").read_text(encoding="utf-8").partition("## Causes of bad silhouettes")[2]
+    section = read(DOCS / "silhouettes.md").partition("## Causes of bad silhouettes")[2]
     named = {code for row in re.findall(r"^\| (`.+?) \|", section, re.M) for code in re.findall(r"`(\w+\.\w+)`", row)}
     assert len(named) > 10
     assert named <= {cause.code for cause in CAUSES}
@@ -147,9 +127,9 @@ def with_their_own(names: set[str]) -> set[str]:
 
 
 def test_every_requirement_has_a_row_with_its_licence_and_none_is_under_the_gpl():
-    lines = [line.partition("#")[0] for line in (ROOT / "requirements.txt").read_text().splitlines()]
+    lines = [line.partition("#")[0] for line in read(ROOT / "requirements.txt").splitlines()]
     required = {Requirement(line).name.lower() for line in lines if line.strip()}
-    rows = [line.strip("|").split("|") for line in (DOCS / "dependencies.md").read_text().splitlines()]
+    rows = [line.strip("|").split("|") for line in read(DOCS / "dependencies.md").splitlines()]
     listed = {
         name.strip().lower()
         for row in rows
@@ -174,7 +154,7 @@ SHORTENED = re.compile(r"\.\.\.|[|\[\]<>]")  # notation, not a command as it is 
 
 def commands_of(page: Path) -> Iterator[tuple[str, bool]]:
     """The commands of a page, and whether each stands in a block, to be typed as it is; else it is but named."""
-    text = page.read_text(encoding="utf-8")
+    text = read(page)
     blocks = [block[1] or block[2] for block in BLOCK.finditer(text)]
     lines = [(line, True) for block in blocks for line in block.replace("\\\n", " ").split("\n")]
     lines += [(span, False) for span in re.findall(r"`([^`\n]+)`", BLOCK.sub("", text))]
@@ -216,7 +196,7 @@ def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
 
 
 def test_every_option_of_a_bench_is_one_that_it_declares():
-    shared = (ROOT / "bench" / "report.py").read_text(encoding="utf-8")
+    shared = read(ROOT / "bench" / "report.py")
     commands, unknown = documented("python bench/") + documented("python models/"), []
     assert len(commands) > 20
     for page, command, _ in commands:
@@ -228,7 +208,7 @@ def test_every_option_of_a_bench_is_one_that_it_declares():
 
 
 def test_every_make_target_exists():
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
+    targets = set(re.findall(r"^([a-z-]+):", read(ROOT / "Makefile"), re.M))
     named = {(page, command.split()[1]) for page, command, _ in documented("make ")}
     assert len(named) > 5
     assert not {(page, target) for page, target in named if target not in targets}
@@ -237,7 +217,7 @@ def test_every_make_target_exists():
 def names_of_ours(program: Path) -> Iterator[tuple[str, str]]:
     """The modules of ours, of benches too, that a program imports from, and the names."""
     ours = {path.name for path in (ROOT / "src").iterdir()} | {path.stem for path in PROGRAMS}
-    for node in ast.walk(ast.parse(program.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(read(program))):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ours:
             yield from ((node.module, alias.name) for alias in node.names)
 

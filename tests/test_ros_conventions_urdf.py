@@ -98,13 +98,10 @@ def test_rep155_angles_go_on_and_their_rates_are_those_of_the_angles():
         before, pose = found, pose.retract(0.01 * velocity)
 
 
-def test_urdf_command_prints_the_body_of_a_file_and_replaces_nothing(tmp_path, capsys):
+def test_urdf_command_prints_the_body_of_a_file_or_of_a_stature(tmp_path, capsys):
     body = Body.from_stature(1.63)
     save_body(body, tmp_path / "body.yaml")
     assert main(["urdf", "--body", str(tmp_path / "body.yaml"), "--id", "anna"]) == 0
     assert capsys.readouterr().out == body_urdf(body, "anna")
-    out = tmp_path / "body.urdf"
-    assert main(["urdf", "--stature", "1.9", "--output", str(out)]) == 0
-    assert out.read_text() == body_urdf(Body.from_stature(1.9), BODY_ID)
-    assert main(["urdf", "--output", str(out)]) == 2
-    assert "A file has that name: choose another" in capsys.readouterr().err
+    assert main(["urdf", "--stature", "1.9", "--rep155"]) == 0
+    assert capsys.readouterr().out == human_urdf(Body.from_stature(1.9), BODY_ID)

@@ -1,9 +1,6 @@
 """Unknown cameras are set up by the commands that a user gives, and a person is tracked; the truth only scores."""
 
-import json
-import shutil
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import film_webcam
@@ -14,8 +11,7 @@ from film_webcam import let_in
 from heard import Heard
 from sensor_msgs.msg import JointState
 
-from capture_rig.camera import CameraModel
-from capture_rig.rig import Rig, load_rig, save_rig
+from capture_rig.rig import load_rig
 from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
@@ -138,36 +134,3 @@ def test_webcams_without_a_trigger_are_set_up_and_a_person_is_tracked(filmed, tm
     assert len(errors) >= SETS // 2
     assert errors.mean() < 0.03
     assert (errors.max(axis=1) > 0.2).mean() < 0.02
-
-
-# --- a room of four fisheyes of 180 degrees, calibrated by films of boards
-
-SIZE, ACROSS_RAD = (1280, 1024), np.pi
-D = np.array([-0.02, 0.01, -0.004, 0.0006])  # of a lens that departs from the equidistant projection by a per cent
-
-
-def fisheye(camera: CameraModel) -> CameraModel:
-    K, focal = camera.K.copy(), SIZE[0] / ACROSS_RAD
-    K[0, 0], K[1, 1] = focal, 1.001 * focal
-    return replace(camera, K=K, distortion_model="equidistant", D=D)
-
-
-@pytest.mark.slow
-def test_fisheye_room_is_calibrated_by_boards_and_a_person_tracked_in_it(tmp_path):
-    rig = ring(4, ceiling=False, size=SIZE)
-    rig = Rig(tuple(map(fisheye, rig.cameras)), rig.volume)
-    plan = FootagePlan(brief=True, fps=5.0, moving_s=20.0)
-    filmed = write_setup(tmp_path / "room", rig, plan, motion="tour", seconds=3.0)
-    found = calibrated(filmed, tmp_path)
-    T_floor_world, session = np.linalg.inv(read_truth_floor(filmed)), filmed / "session"
-    placed = [
-        replace(camera, T_camera_world=camera.T_camera_world @ T_floor_world) for camera in load_rig(found).cameras
-    ]
-    for camera in placed:
-        assert camera.distortion_model == "equidistant"
-        assert np.linalg.norm(camera.centre_world - rig.camera(camera.name).centre_world) < 0.003
-    save_rig(Rig(tuple(placed), rig.volume), session / "rig.yaml")
-    shutil.copy(filmed / "truth.csv", session)
-    score = json.loads(run("evaluate", session, "--json"))
-    assert score["tracked"] > 0.8 * score["frames"]
-    assert score["mean_mm"] < 25.0 and score["over_200mm"] == 0.0

@@ -257,8 +257,7 @@ def _frame_rate(folder: Path, videos: dict[str, Path]) -> float:
         raise InputError(
             f"the videos have different frame rates: {rates}",
             where=str(folder),
-            remedy="Give the true rate as 'fps' in session.yaml; if one has a variable rate, sagoma doctor "
-            f"--session {folder} says which.",
+            remedy="Give the true rate as 'fps' in session.yaml; sagoma evaluate then names those of a variable one.",
         )
     return next(iter(rates.values()))
 

@@ -123,5 +123,5 @@ def chosen_take(given: str, folder: str) -> tuple[TakesFolder, str]:
 
 def bag_of(given: str, folder: str) -> Path:
     """Return the bag of a take that is given by its name, or by its path: a folder, or a single file."""
-    named = Path(folder) / given
-    return named if Path(given).name == given and named.exists() else Path(given)
+    takes, name = chosen_take(given, folder)
+    return takes.path / name

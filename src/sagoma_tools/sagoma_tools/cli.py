@@ -12,7 +12,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import describe_os_error
 from sagoma_ros.middleware import use_peers
 
-from .console import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, ProgressLine, describe
+from .console import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, describe, until_stopped
 from .graph import GraphError
 
 COMMANDS = {
@@ -58,8 +58,10 @@ def run(argv: list[str]) -> int:
         leaf.error(f"unknown {' '.join(unknown)}")
     if (peers := vars(args).pop("peers", None)) is not None:
         use_peers(peers)
-    with ProgressLine():
+    try:
         return args.run(args)
+    finally:
+        until_stopped()
 
 
 def build_parser(modules: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:

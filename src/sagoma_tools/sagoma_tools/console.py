@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import os
+import atexit
 import shutil
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple, NoReturn
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -20,12 +21,11 @@ from rich.text import Text
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 GRADE_STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
-EDGES = "│┃|"  # of tables with a box
-LOG_WIDTH = 150  # of tables in a file, unless COLUMNS says otherwise
+WIDEST = 10_000  # characters of a table's row
 
 
 class CommandConsole(Console):
-    """A rich console that breaks no word: paths stay whole, and a table without room becomes a list of its rows.
+    """A rich console that breaks no word: paths stay whole, and a row of a table is one line, however long.
 
     Into a file, lines of text are not broken at all, so that grep finds them.
     """
@@ -37,126 +37,59 @@ class CommandConsole(Console):
             text = objects[0]
             objects = (self.render_str(text, markup=markup, highlight=highlight) if isinstance(text, str) else text,)
             options = {"overflow": "ignore", "crop": False, "soft_wrap": not self.is_terminal, **options}
-        super().print(*(fitted(self, one) if isinstance(one, Table) else one for one in objects), **options)
+        for table in (one for one in objects if isinstance(one, Table)):
+            table.width = Measurement.get(self, self.options.update(max_width=WIDEST), table).maximum
+            options["crop"] = False
+        super().print(*objects, **options)
 
 
-def command_console(*, stderr: bool = False, width: int = LOG_WIDTH) -> CommandConsole:
-    """Return a console as wide as the terminal or as COLUMNS says; in a file without it ``width`` columns wide."""
-    console = CommandConsole(stderr=stderr)
-    if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
-        return console
-    return CommandConsole(stderr=stderr, width=width)
-
-
-def plain_table(
-    title: str = "", left: Sequence[str] = (), right: Sequence[str] = (), wide: Sequence[str] = ()
-) -> Table:
-    """Return a table without lines: columns of words, columns of numbers, columns of text that may be broken."""
+def plain_table(title: str, left: Sequence[str], right: Sequence[str]) -> Table:
+    """Return a table without lines: columns of words, columns of numbers."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
     for name in left:
         table.add_column(name, no_wrap=True)
     for name in right:
         table.add_column(name, justify="right", no_wrap=True)
-    for name in wide:
-        table.add_column(name, ratio=1)
     return table
-
-
-def fitted(console: Console, table: Table) -> RenderableType:
-    """Return the table, or a list of its rows where a word would be broken at the console's width."""
-    lines = console.render_lines(table, console.options, pad=False)
-    shown = {word.strip(EDGES) for line in lines for word in "".join(part.text for part in line).split()}
-    cells = (cell for column in table.columns for cell in (column.header, *column.cells))
-    whole = {word.strip(EDGES) for cell in cells for word in _plain(cell).split()} <= shown
-    return table if whole else Group(*_rows(table))
-
-
-def _rows(table: Table) -> Iterable[Text]:
-    if table.title:
-        yield Text(str(table.title), style="bold")
-    for number, row in enumerate(table.rows):
-        first = True
-        for column in table.columns:
-            cell = list(column.cells)[number]
-            text, header = _plain(cell), _plain(column.header)
-            if not text:
-                continue
-            indent = "" if first else "  "
-            line = Text(f"{indent}{header}: " if header else indent, style=row.style or "")
-            yield line.append_text(cell if isinstance(cell, Text) else Text(text))
-            first = False
-
-
-def _plain(cell: RenderableType) -> str:
-    return cell.plain if isinstance(cell, Text) else Text.from_markup(str(cell)).plain
 
 
 # progress -------------------------------------------------------------------------------------------------------------
 
 
-_running: ProgressLine | None = None
+_lock = threading.RLock()
+_shown: list[Progress] = []  # that of the present step, on a terminal
 
 
 def doing(what: str, total: int | None = None) -> Callable[..., None]:
-    """Name the present step ("tracking frames"); the function returned takes how many of ``total`` are done, or a text.
+    """Name the present step ("tracking frames") on a terminal; the function returned takes how many of ``total`` are
+    done, or a text. It may be told the total as well, where that is known only later."""
+    console = Console(stderr=True, soft_wrap=True)  # what is printed meanwhile goes through it unchanged
+    columns = TextColumn("{task.description}{task.fields[done]}", markup=False), BarColumn(), TimeElapsedColumn()
+    progress = Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
+    task = progress.add_task(what, total=total, done="")
+    with _lock:
+        until_stopped()
+        if console.is_terminal:
+            progress.start()
+            _shown.append(progress)
 
-    It may be told the total as well, where that is known only later. Without a command around (a library's user, a
-    test) both do nothing.
-    """
-    return (lambda done, total=None: None) if _running is None else _running.begin(what, total)
+    def update(done: int | str, total: int | None = None) -> None:
+        if isinstance(done, str):
+            progress.update(task, done=f": {done}")
+            return
+        whole = total or progress.tasks[0].total
+        share = f" of {whole:.0f} ({100 * done / whole:.0f} %)" if whole else ""
+        progress.update(task, completed=done, total=total, done=f": {done}{share}")
+
+    return update
 
 
+@atexit.register
 def until_stopped() -> None:
     """End the present step: from here on the command runs until somebody stops it, and shows no progress."""
-    if _running is not None:
-        _running.end()
-
-
-class ProgressLine:
-    """Shows the steps of a command on a terminal while it runs; a context manager."""
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        self._progress: Progress | None = None
-
-    def __enter__(self) -> ProgressLine:
-        global _running
-        self._outer, _running = _running, self
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        global _running
-        self.end()
-        _running = self._outer
-
-    def begin(self, what: str, total: int | None) -> Callable[..., None]:
-        """Begin a step, as :func:`doing` does."""
-        console = Console(stderr=True, soft_wrap=True)  # what is printed meanwhile goes through it unchanged
-        columns = TextColumn("{task.description}{task.fields[done]}", markup=False), BarColumn(), TimeElapsedColumn()
-        progress = Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
-        task = progress.add_task(what, total=total, done="")
-        with self._lock:
-            self.end()
-            if console.is_terminal:
-                progress.start()
-                self._progress = progress
-
-        def update(done: int | str, total: int | None = None) -> None:
-            if isinstance(done, str):
-                progress.update(task, done=f": {done}")
-                return
-            whole = total or progress.tasks[0].total
-            share = f" of {whole:.0f} ({100 * done / whole:.0f} %)" if whole else ""
-            progress.update(task, completed=done, total=total, done=f": {done}{share}")
-
-        return update
-
-    def end(self) -> None:
-        """End the present step."""
-        with self._lock:
-            if self._progress is not None:
-                self._progress.stop()
-            self._progress = None
+    with _lock:
+        while _shown:
+            _shown.pop().stop()
 
 
 # help -----------------------------------------------------------------------------------------------------------------
@@ -234,9 +167,9 @@ HELP: Mapping[str, CommandHelp] = {
     "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
     "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
-    "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
+    "urdf": CommandHelp(("urdf --stature 1.82",)),
     "doctor": CommandHelp(
-        ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),
+        ("doctor", f"doctor --rig {RIG} --live", "doctor --camera cam01.yaml --open", "doctor --host 192.168.1.11"),
         {OK: "all is well, or notes only", FAILED: "warnings", BAD_INPUT: "errors, or arguments that cannot be used"},
     ),
 }

@@ -88,9 +88,3 @@ def supervise(tmp_path):
 def link():
     with RosLink("sagoma_test") as link:
         yield link
-
-
-@pytest.fixture(autouse=True)
-def _tables_have_room(monkeypatch):
-    """pytest-xdist sets COLUMNS, to which commands keep."""
-    monkeypatch.delenv("COLUMNS", raising=False)

@@ -13,9 +13,9 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
-from sensor_msgs.msg import CameraInfo, CompressedImage
+from sensor_msgs.msg import CompressedImage
 
-from sagoma_ros.images import camera_info_message, silhouette_message
+from sagoma_ros.images import silhouette_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
 from sagoma_tools.graph.ros_link import RosLink
@@ -48,13 +48,12 @@ class FakeNode(RosLink):
 
 
 class FakeCamera(FakeNode):
-    """Silhouettes of somebody who moves, or of nobody, and their camera_info."""
+    """Silhouettes of somebody who moves, or of nobody."""
 
     def __init__(self, camera, blank=False, **options):
         super().__init__("camera_client", f"/{camera}", **options)
         self.blank, self.frame = blank, 0
         self.canvas = RIG.camera(camera).undistorted_view().camera
-        self.infos = self.node.create_publisher(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
         self.masks = self.node.create_publisher(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
         self.node.create_timer(FRAME_S, self.publish)
 
@@ -64,9 +63,7 @@ class FakeCamera(FakeNode):
         if not self.blank:
             left = 200 + self.frame % 50
             mask[100:400, left : left + 80] = 255
-        stamp_ns = time.time_ns() + self.lead_ns
-        self.infos.publish(camera_info_message(self.canvas, stamp_ns, "optical"))
-        self.masks.publish(silhouette_message(mask, stamp_ns, "optical"))
+        self.masks.publish(silhouette_message(mask, time.time_ns() + self.lead_ns, "optical"))
 
 
 @contextmanager

@@ -101,7 +101,7 @@ OF_NOTHING_OR_BROKEN = [
     "export FOLDER",
     "urdf --body FILE",
     "doctor --no-machine --rig FILE",
-    "doctor camera FILE",
+    "doctor --no-machine --camera FILE",
 ]
 OF_NOTHING = [
     "recover FOLDER",

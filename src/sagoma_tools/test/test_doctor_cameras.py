@@ -91,7 +91,7 @@ def save_background(path, shape):
 
 def examined(path, capsys, *options):
     """Exit status and the findings by what they are about."""
-    status = main(["doctor", "camera", str(path), "--json", *options])
+    status = main(["doctor", "--camera", str(path), "--json", *options])
     document = json.loads(capsys.readouterr().out)
     assert document["status"] == status
     found = {}

@@ -167,9 +167,9 @@ FINDINGS = [
 ]
 
 
-def shown(findings, **options):
+def shown(findings):
     sink = io.StringIO()
-    show(findings, CommandConsole(file=sink), **options)
+    show(findings, CommandConsole(file=sink))
     return sink.getvalue()
 
 
@@ -180,10 +180,9 @@ def test_findings_are_grouped_by_subject_the_gravest_of_each_first_and_cameras_l
     assert [line.split()[0] for line in about_cam01[:4]] == ["ERROR", "->", "note", "ok"]
 
 
-def test_what_is_well_is_one_line_a_group_unless_all_is_asked_for_and_the_last_one_counts():
+def test_what_is_well_is_one_line_a_group_and_the_last_one_counts():
     *lines, last = shown(FINDINGS).splitlines()
     assert "ok      disk, memory" in "\n".join(lines) and "is large" not in shown(FINDINGS)
-    assert "is large" in shown(FINDINGS, all_of_them=True)
     assert last == "errors: 2, warnings: 1; first: camera cam01: below the floor"
     assert summary([ok("a", ""), note("b", "")]) == "no errors, no warnings (1 passed)"
     text = "a long way " * 40 + "home"  # not broken in a file, whatever its length

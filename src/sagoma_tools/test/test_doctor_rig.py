@@ -6,11 +6,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import yaml
-from footage_clips import write_clip
 
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.rig import Rig, Volume, load_rig, save_rig
@@ -146,24 +144,6 @@ def test_reports_are_read_with_verdict_findings_and_age(examined, tmp_path):
     assert f"fx {C1.K[0, 0] + 5:.1f}" in (said := text["intrinsics.differ"]) and f"rig fx {C1.K[0, 0]:.1f}" in said
     (tmp_path / "rig.report.yaml").write_text("[1, 2")
     assert "rig_report.unusable" in [code for _, code, _ in examined(GOOD)[1]["rig"]]
-
-
-def test_footage_of_another_size_is_an_error(examined, tmp_path):
-    session = tmp_path / "session"
-    session.mkdir()
-    for camera in GOOD.cameras:
-        size = (320, 240) if camera.name == "cam02" else (640, 480)
-        frames = 1 if camera.name == "cam04" else 3
-        write_clip(session / f"{camera.name}.mp4", [np.full(size[::-1], 90, np.uint8)] * frames, 10.0)
-        cv2.imwrite(str(session / f"{camera.name}_background.png"), np.zeros((480, 640), np.uint8))
-    (session / "cam05.mp4").unlink()
-    save_rig(GOOD, session / "rig.yaml")
-    status, found = examined(GOOD, "--session", session)
-    assert status == 2
-    assert any(code == "footage.size_differs" and "320 x 240" in what for _, code, what in found["camera cam02"])
-    of_session = {code: what for _, code, what in found[f"session {session}"]}
-    assert "cam04.mp4" in of_session["footage.doubtful"] and "no video for cam05" in of_session["session.unusable"]
-    assert "camera cam01" not in found
 
 
 def test_absurd_rig_is_refused_with_a_remedy(tmp_path, capsys):

@@ -113,13 +113,6 @@ def evaluated(capsys, session):
     return json.loads(printed.out.splitlines()[-1]), printed.err
 
 
-def doctor(capsys, session):
-    """Findings above ok: (severity, code, text)."""
-    main(["doctor", "--no-machine", "--json", "--rig", str(session / "rig.yaml"), "--session", str(session)])
-    found = json.loads(capsys.readouterr().out)["findings"]
-    return [(f["severity"], f["code"], f["what"]) for f in found if f["severity"] != "ok"]
-
-
 def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(tour, tmp_path, capsys):
     copied = transcoded(tour, tmp_path / "copied", "MJPG", FPS)
     cut_off(copied / "cam03.avi", 0.6)
@@ -129,8 +122,6 @@ def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(tour, tmp_p
     assert 4 < left < FRAMES and figures["tracked"] == left
     assert f"cam03.avi: ends after {left} frames, its header promises {FRAMES}" in said
     assert f"cam03.avi ended after {left} frames, before the others" in said
-    codes = [code for _, code, _ in doctor(capsys, copied)]
-    assert codes.count("footage.doubtful") > 1
 
 
 def test_video_damaged_so_that_nobody_is_found_is_named(tour, tmp_path, capsys):
@@ -142,15 +133,12 @@ def test_video_damaged_so_that_nobody_is_found_is_named(tour, tmp_path, capsys):
     assert any(re.search(said, line) for line in of_videos) and "no body was found" in nobody
 
 
-def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(tour, tmp_path, capsys):
+def test_variable_frame_rate_is_said_when_tracking(tour, tmp_path, capsys):
     copied = shutil.copytree(tour, tmp_path / "copied", ignore=shutil.ignore_patterns("session.yaml"))
     with_late_frames(copied / "cam02.mp4", FRAMES - 4, 4)
     assert main(["evaluate", str(copied), "--json"]) == 2
-    assert "different frame rates" in (said := capsys.readouterr().err) and "sagoma doctor --session" in said
-    assert ("error", "session.unusable") in [found[:2] for found in doctor(capsys, copied)]
+    assert "different frame rates" in (said := capsys.readouterr().err) and "sagoma evaluate then names" in said
     (copied / "session.yaml").write_text(f"fps: {FPS}\n")
     figures, said = evaluated(capsys, copied)
     assert figures["frames"] == FRAMES
     assert "cam02.mp4: has a variable frame rate: its frames are 50 to 100 ms apart" in said
-    found = {code: what for _, code, what in doctor(capsys, copied)}
-    assert "50 to 100 ms" in found["footage.doubtful"] and "session.unusable" not in found

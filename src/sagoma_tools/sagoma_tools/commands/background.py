@@ -32,15 +32,13 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import Video
 
 from ..arguments import NODES
-from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, until_stopped
+from ..console import GRADE_STYLE, INTERRUPTED, CommandConsole, doing, until_stopped
 from ..graph import START_TIMEOUT_S
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
 from ..graph.ros_link import RosLink, add_namespace_argument, label_of, namespace_argument, namespace_of
 
 COUNTDOWN_S = 10
-ERROR = b"\2"
-IDLE = ("unconfigured", "configured, inactive", "suspended")
 STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
 BRIGHTEST_SIGMA = 10.0  # grey levels of noise that the picture shows in its brightest colour
 REGION_BGR = (0, 0, 255)
@@ -74,7 +72,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find the clients, wait for the empty room, train, report; the exit status is the worst verdict's."""
-    console = command_console()
+    console = CommandConsole()
     if args.from_footage:
         return run_from_footage(console, args.from_footage)
     with StopOnSignal() as stop, RosLink("sagoma_background", namespace=namespace_argument(args)) as link:
@@ -87,8 +85,18 @@ def run(args: argparse.Namespace) -> int:
         if not names:
             console.print("every background is fine")
             return 0
-        warn_of_idle(console, diagnostics, names)
-        outcomes = train(console, link, diagnostics, names, stop, args)
+
+        def wanted() -> bool:
+            show("   ".join(f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names))
+            return not stop.is_set()
+
+        if not count_down(console, args.countdown, stop):
+            return INTERRUPTED
+        console.print(f"learning: {', '.join(map(label_of, names))}")
+        show = doing("frames")
+        outcomes = train_backgrounds(link.node, diagnostics, names, args.timeout, wanted)
+        until_stopped()
+        console.bell()
     print_outcomes(console, outcomes)
     if args.json:
         print(json.dumps(figures(outcomes)))
@@ -125,30 +133,6 @@ def sampled_frames(video: Path) -> list[np.ndarray]:
     return frames
 
 
-def train(
-    console: Console,
-    link: RosLink,
-    diagnostics: DiagnosticsTable,
-    names: Sequence[str],
-    stop: threading.Event,
-    args: argparse.Namespace,
-) -> list[TrainingOutcome]:
-    """Count down and train the clients ``names``; return the outcome of each."""
-
-    def wanted() -> bool:
-        show("   ".join(f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names))
-        return not stop.is_set()
-
-    if not count_down(console, args.countdown, stop):
-        return [TrainingOutcome(label_of(name), "cancelled") for name in names]
-    console.print(f"learning: {', '.join(map(label_of, names))}")
-    show = doing("frames")
-    outcomes = train_backgrounds(link.node, diagnostics, names, args.timeout, wanted)
-    until_stopped()
-    console.bell()
-    return outcomes
-
-
 def count_down(console: Console, seconds: int, stop: threading.Event) -> bool:
     """Ask to leave the room, show the seconds down to 1, then beep; False when ``stop`` was set meanwhile."""
     show = doing("leave the room")
@@ -175,16 +159,6 @@ def select_clients(names: Sequence[str], cameras: Sequence[str] | None, namespac
         remedy = f"There are: {', '.join(sorted(by_camera))}."
         raise InputError(f"no client of {', '.join(absent)} is there", where="--cameras", remedy=remedy)
     return [by_camera[camera] for camera in sorted(set(cameras))]
-
-
-def warn_of_idle(console: Console, diagnostics: DiagnosticsTable, names: Sequence[str]) -> None:
-    """Name the clients that cannot train now, before the person leaves the room."""
-    for name in names:
-        status = diagnostics.report(name)
-        if status is None:
-            console.print(f"{label_of(name)} is silent: its node sends no diagnostics", style="yellow")
-        elif status.level == ERROR or status.message in IDLE:
-            console.print(f"{label_of(name)} says: {status.message}", style="yellow")
 
 
 def exit_status(outcomes: Sequence[TrainingOutcome]) -> int:
@@ -215,7 +189,7 @@ def print_outcomes(console: Console, outcomes: Sequence[TrainingOutcome]) -> Non
 
 def run_show(args: argparse.Namespace) -> int:
     """Print where each saved background comes from and what can be found against it, and write its pictures."""
-    console, before = command_console(), load_background(args.against) if args.against else None
+    console, before = CommandConsole(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)
         shown = {**asdict(model.provenance), "image": shape_text(model.shape), "moved": f"{model.moving_share:.2%}"}

@@ -20,10 +20,9 @@ from rig_calibration.intrinsics.calibrate import AUTO
 from rig_calibration.intrinsics.lens_model import MODELS
 
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
-from ..console import command_console
+from ..console import FAILED, CommandConsole
 
 INTRINSICS_FOLDER = "output/intrinsics"
-FAILED = 1
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -82,7 +81,7 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
     if bool(args.sources) == bool(args.topic):
         remedy = "For example: sagoma calibrate intrinsics FOLDER --board 'checkerboard 9x6 25mm'."
         raise InputError("give either footage or --topic", where="sagoma calibrate intrinsics", remedy=remedy)
-    board, console = read_board(args.board), command_console(stderr=args.json)
+    board, console = read_board(args.board), CommandConsole(stderr=args.json)
     failures: list[InputError] = []
     if args.topic:
         from ..calibration.live_lens import calibrate_live  # ROS takes a second to load
@@ -101,8 +100,6 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
 # extrinsics -----------------------------------------------------------------------------------------------------------
 
 
-NOT_GOOD_ENOUGH = 1
-WIDTH = 120
 EPILOG = """\
 A SOURCE is a folder (cam01.mp4, cam02.png, cam03/*.jpg ...), one video or still, or NAME=PATH.
 The world: z up, origin on the floor in the middle of the floor board, x along its rows."""
@@ -166,7 +163,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
     """Calibrate; 0 when the rig can be used, 1 when it should be calibrated again."""
     from ..calibration.extrinsics import calibrate_extrinsics, request_from  # solver and numba take a second to load
 
-    request, console = request_from(args), command_console(width=WIDTH)
+    request, console = request_from(args), CommandConsole()
     if args.live:
         from ..calibration.rig_live import LiveSources
         from ..graph.ros_link import RosLink
@@ -180,7 +177,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
 
         footage = FootageSources(args.floor, args.moving or (), args.wand, args.without)
         calibrated = calibrate_extrinsics(request, footage, console)
-    return NOT_GOOD_ENOUGH if calibrated.verdict.grade == REDO else 0
+    return FAILED if calibrated.verdict.grade == REDO else 0
 
 
 def _ask(console: Console, what: str) -> None:

@@ -23,7 +23,7 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 from ..arguments import add_settings_argument, add_start_argument, next_steps, parse_settings
-from ..console import INTERRUPTED, command_console, doing
+from ..console import INTERRUPTED, CommandConsole, doing
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
 from ..evaluation.scores import Scores
@@ -56,7 +56,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the session if need be, run, report; 0 when the capture is sound, however busy the machine, else 1."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    console = command_console()
+    console = CommandConsole()
     output = Path(args.output)
     folder = Path(args.session) if args.session else built_in_session(output / "session", console)
     shutil.rmtree(output / "bag", ignore_errors=True)

@@ -12,7 +12,7 @@ from capture_rig.rig import load_rig, save_rig
 from capture_rig.settings import number
 from capture_rig.stop_signals import StopOnSignal
 
-from ..console import command_console, doing, until_stopped
+from ..console import CommandConsole, doing, until_stopped
 from ..doctor.cameras import examine_camera
 from ..doctor.findings import Finding, about, exit_status, show, summary
 from ..doctor.graph import examine_graph
@@ -36,9 +36,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description=DESCRIPTION,
     )
     option = parser.add_argument
-    help_camera = "'camera PARAMS.yaml' is --camera PARAMS.yaml"
-    option("what", nargs="?", choices=["camera"], help=help_camera)
-    option("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
     help_camera = "a camera's parameter file (any number of times)"
     option("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path, help=help_camera)
     option("--open", action="store_true", help="take control of those cameras for a moment, as their clients would")
@@ -47,7 +44,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--regions", metavar="FILE.yaml", type=Path, help=help_regions)
     help_lenses = "the cameras' own calibrations (default: beside the rig file)"
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
-    option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
     add_namespace_argument(parser)
     option("--seconds", type=number("s", 0.1, 3600), default=ANSWER_S, help="how long to listen (default: %(default)g)")
@@ -59,15 +55,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C",
     )
     option("--no-machine", action="store_true", help="leave this machine out")
-    option("--all", action="store_true", help="also print what is well in words")
     option("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Examine and print; the exit status is the gravest finding's."""
-    if args.what == "camera" and args.parameters is None:
-        raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if args.answer:
         return answer()
     if args.regions is not None:
@@ -82,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         listed = [finding.as_dict() for finding in findings]
         print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))
     else:
-        show(findings, command_console(), all_of_them=args.all)
+        show(findings, CommandConsole())
     return status
 
 
@@ -99,10 +92,10 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
     if not args.no_machine:
         yield from examine_machine()
-    for path in [*args.camera, *([args.parameters] if args.parameters else [])]:
+    for path in args.camera:
         yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
-    if args.session is not None or args.rig is not None:
-        yield from about("rig", examine_rig(args.rig, args.session, args.intrinsics))
+    if args.rig is not None:
+        yield from about("rig", examine_rig(args.rig, args.intrinsics))
     if args.live:
         yield from about("graph", examine_graph(args.seconds, args.rig, namespace=namespace_argument(args)))

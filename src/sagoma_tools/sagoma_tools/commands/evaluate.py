@@ -16,7 +16,7 @@ from mocap_pipeline.session_footage import load_detections
 from sagoma_bringup.launch_arguments import start_settings
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
-from ..console import command_console, doing
+from ..console import CommandConsole, doing
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, track_people
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
@@ -25,7 +25,6 @@ from ..evaluation.track_evaluation import PeopleScores, evaluate_track, identify
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
 """Of each row of an ablation."""
-TABLE_WIDTH = 120
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -54,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     tracks = {name: main_track(of_all, session.truths, session.fps) for name, of_all in everybody.items()}
     switches = identify(everybody[OURS], session.truths, session.fps).switches[0] if session.truths else None
     evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS), switches)
-    figures, console = evaluated.figures(), command_console(stderr=args.json, width=TABLE_WIDTH)
+    figures, console = evaluated.figures(), CommandConsole(stderr=args.json)
     rows: dict[str, Scores | None] = {}
     if args.ablation and session.truth is not None:
         rows = {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}

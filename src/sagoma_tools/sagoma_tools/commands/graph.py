@@ -33,7 +33,7 @@ from ..arguments import (
     new_run_folder,
     next_steps,
 )
-from ..console import command_console, doing, until_stopped
+from ..console import CommandConsole, doing, until_stopped
 from ..graph import ROUND_S
 from ..graph.lifecycle_client import LifecycleClient, State
 from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
@@ -84,7 +84,7 @@ def up(args: argparse.Namespace) -> int:
     graph = graph_from(args)
     if args.record:
         require_new(args.record)
-    console, folder = command_console(), new_run_folder(args.run_folder, "up")
+    console, folder = CommandConsole(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
     def log_event(event: ProcessEvent) -> None:

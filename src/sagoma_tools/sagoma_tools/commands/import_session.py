@@ -7,7 +7,7 @@ from pathlib import Path
 
 from capture_rig.settings import number
 
-from ..console import command_console, doing
+from ..console import doing
 from ..importers import biocv, image_bag
 from ..importers.humaneva import CAMERAS, Trial, import_trial
 
@@ -105,6 +105,5 @@ def evaluate(args: argparse.Namespace, options: str = "") -> str:
 
 def say(*lines: str) -> int:
     """Print lines; returns the exit status."""
-    for line in lines:
-        command_console().print(line)
+    print(*lines, sep="\n")
     return 0

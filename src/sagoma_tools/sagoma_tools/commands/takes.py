@@ -21,7 +21,7 @@ from mocap_pipeline.configuration import Configuration
 from stick_figure.body import STATURES_M, TYPICAL_STATURE_M, Body, load_body
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
-from ..console import command_console, doing, plain_table
+from ..console import CommandConsole, doing, plain_table
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.smoothing import smooth_bag
 from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
@@ -92,7 +92,8 @@ def list_takes(args: argparse.Namespace) -> int:
     if not takes:
         print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
         return 0
-    console, table = command_console(), plain_table("", ("take", "recorded"), FIGURES, [""])
+    console, table = CommandConsole(), plain_table("", ("take", "recorded"), FIGURES)
+    table.add_column("", no_wrap=True)
     for take in takes:
         table.add_row(take.name, date(take), *figures(take), remark(take), style=STATE_STYLE[take.state])
     console.print(table)
@@ -113,7 +114,7 @@ def show(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     if args.json:
         print(json.dumps(take.document(), indent=1))
         return 0 if take.state is TakeState.WHOLE else 1
-    console = command_console()
+    console = CommandConsole()
     console.print(f"{take.name}   {date(take)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold")
     console.print(f"  {take.path.resolve()}")
     if take.state is not TakeState.WHOLE:
@@ -132,8 +133,7 @@ def show(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
 
 def print_figures(console: Console, summary: Summary) -> None:
     """Print a take's figures, moved in."""
-    for line in summary_lines(summary):
-        console.print(f"  {line}")
+    console.print("\n".join(f"  {line}" for line in summary_lines(summary)))
 
 
 def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
@@ -142,7 +142,7 @@ def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     if args.json:
         print(json.dumps([vars(each) for each in checks], indent=1))
     else:
-        console = command_console()
+        console = CommandConsole()
         for each in checks:
             console.print(Text.assemble((f"{each.grade:8s}", CHECK_STYLE[each.grade]), each.text))
     return 1 if any(each.grade == ERROR for each in checks) else 0
@@ -215,7 +215,7 @@ def measure_anew(args: argparse.Namespace, folder: TakesFolder, name: str) -> in
     summary = finish_take(take.path, doing("reading messages")) if take.state is TakeState.WHOLE else None
     if summary is None:
         raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
-    print_figures(command_console(), summary)
+    print_figures(CommandConsole(), summary)
     return 0
 
 
@@ -280,19 +280,12 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")
     parser.add_argument("--rep155", action="store_true", help="the URDF of REP-155, for /humans/bodies/ID/joint_states")
-    parser.add_argument("--output", help="file to write (default: print it)")
     parser.set_defaults(run=run_urdf)
 
 
 def run_urdf(args: argparse.Namespace) -> int:
-    """Print or write the URDF."""
+    """Print the URDF."""
     body = load_body(args.body) if args.body else Body.from_stature(args.stature)
     body_id = body_id_of(args.id, FIRST_PERSON)
-    text = (human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass)
-    if not args.output:
-        sys.stdout.write(text)
-        return 0
-    with open(args.output, "x") as file:
-        file.write(text)
-    print(f"written: {args.output}")
+    sys.stdout.write((human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass))
     return 0

@@ -223,14 +223,9 @@ def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[i
     if path.endswith(".npz"):
         model = load_background(path)
         return model.shape, model
-    shape = footage_shape(path)
-    return shape, read_background(path, shape, settings.background_model)
-
-
-def footage_shape(path: str | Path) -> tuple[int, ...]:
-    """Return the shape (H, W, ...) of footage's images."""
     with contextlib.closing(open_footage(path)) as reader:
-        return reader.probe()
+        shape = reader.probe()
+    return shape, read_background(path, shape, settings.background_model)
 
 
 def sent_beside(file: CameraFile, link: Interface) -> dict[str, float]:

@@ -103,19 +103,19 @@ NAMES = {**{severity: severity.name.lower() for severity in Severity}, Severity.
 ABOUT_WIDTH = 14
 
 
-def show(findings: Sequence[Finding], console: Console, *, all_of_them: bool = False) -> None:
-    """Print the findings by subject, and the summary; passed checks share one line unless ``all_of_them``."""
+def show(findings: Sequence[Finding], console: Console) -> None:
+    """Print the findings by subject, and the summary; passed checks share one line."""
     subjects = dict.fromkeys(finding.subject for finding in findings)
     for subject in sorted(subjects, key=lambda subject: subject.startswith("camera ")):  # cameras last
         console.print(Text(subject or "findings", style="bold"))
         mine = sorted((f for f in findings if f.subject == subject), key=lambda finding: -finding.severity)
-        for finding in mine if all_of_them else (f for f in mine if f.severity > Severity.OK):
+        for finding in (f for f in mine if f.severity > Severity.OK):
             text = f"{finding.about:{ABOUT_WIDTH}} {finding.what}"
             console.print(Text.assemble((f"  {NAMES[finding.severity]:8}", STYLES[finding.severity]), text))
             if finding.remedy:
                 console.print(Text(f"{'':10}-> {finding.remedy}", style="italic"))
         passed = ", ".join(dict.fromkeys(f.about for f in mine if f.severity is Severity.OK))
-        if passed and not all_of_them:
+        if passed:
             console.print(Text.assemble((f"  {NAMES[Severity.OK]:8}", STYLES[Severity.OK]), passed))
     gravest = max((finding.severity for finding in findings), default=Severity.OK)
     console.print(Text(f"\n{summary(findings)}", style=STYLES[gravest]))

@@ -13,12 +13,13 @@ from camera_client.background.causes import KEY as FINDINGS_KEY
 from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
 from camera_client.background.training import TrainingReport
+from camera_client.diagnostics import UNCALIBRATED
 from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from sagoma_ros.middleware import RANGE_VARIABLE
 
 from .findings import Finding, Found, about, error, graded, note, ok, warning
-from .graph_listener import ACTIVE, FLOODED, HULL, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
+from .graph_listener import ACTIVE, FLOODED, HULL, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 from .hosts import RosSettings
 from .machine import domains_here
 
@@ -35,7 +36,7 @@ EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
 LATE_PERIODS, LATE_MS = 5, 200.0
 MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
 USUAL_PERIOD_S = 1 / 30
-NOTHING, ENOUGH_MASKS, SAME_PX = 1e-5, 10, 0.01
+NOTHING, ENOUGH_MASKS = 1e-5, 10
 OLD_S, EARLY_S = 1.0, 5e-3
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
 RECOVERY = "docs/tracking.md"
@@ -67,8 +68,7 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
         if client is not None:
             yield from about(subject, *_of_node(client, facts))
         if (its := sent.get(name)) is not None:
-            checks = check_arrival(its, client), check_canvas(its, facts), check_content(its, facts)
-            yield from about(subject, *checks)
+            yield from about(subject, check_arrival(its, client), check_content(its, facts))
 
 
 def _of_node(node: NodeFacts, facts: GraphFacts) -> list[Found]:
@@ -212,9 +212,8 @@ def check_presence(camera: str, facts: GraphFacts) -> Iterator[Finding]:
 
 def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[Finding]:
     """Whether its silhouettes arrive, and in time."""
-    uncalibrated = sent.canvas is not None and sent.canvas.fx == 0  # as camera_info says it (REP-104)
     if not sent.masks:
-        if client is not None and client.state == ACTIVE and not uncalibrated:  # else the node's findings say so
+        if client is not None and client.state == ACTIVE and client.message != UNCALIBRATED:  # else findings say so
             text = f"its client sends {client.value('rate_hz') or 'none or some'} a second, none arrives here"
             remedy = f"See its message: without a background it sends none. {BIG_MESSAGES}"
             yield error("silhouettes.not_arriving", text, remedy)
@@ -228,19 +227,6 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[F
     elif sent.age_s > OLD_S:
         remedy = "Its clock is behind (see clock), footage plays late, or the machine is too busy."
         yield warning("latency.old", f"its silhouettes are {sent.age_s:.1f} s old when they arrive", remedy)
-
-
-def check_canvas(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
-    """Whether the silhouettes were made with the rig's calibration."""
-    canvas, rig = sent.canvas, facts.canvas(sent.camera)
-    if not sent.masks or canvas is None or rig is None:
-        return None
-    pairs = zip(Canvas._fields, canvas, rig, strict=True)
-    different = [f"{name} {mine:.2f}, in the rig {its:.2f}" for name, mine, its in pairs if abs(mine - its) > SAME_PX]
-    text = f"made with another calibration than the rig file: {', '.join(different)}"
-    remedy = "Copy the newer of both rig files to both machines, configure both again; a calibration set by "
-    remedy += "set_camera_info belongs into rig.yaml too."
-    return error("camera_info.differs", text, remedy) if different else ok("camera_info", "as in the rig file")
 
 
 def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:

@@ -1,4 +1,4 @@
-"""Listens to the running graph for a few seconds, and asks its nodes for their state and rig file."""
+"""Listens to the running graph for a few seconds, and asks its nodes for their state."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import GetState
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CameraInfo, CompressedImage
+from sensor_msgs.msg import CompressedImage
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Rig
@@ -27,7 +27,7 @@ from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from ..graph import ANSWER_S
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
-from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
+from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
 
 OWN_NAME, HULL = "sagoma_doctor", "/hull_server"
 FRAME_SET_TOPIC = "/hull/frame_set"
@@ -36,22 +36,6 @@ KEPT = 4096  # messages of a topic: the last minute at 60 Hz
 DECODED = 60  # masks of a camera
 ACTIVE = "active"
 PERSON_SHARE, FLOODED = 0.003, 0.5  # of the canvas: a person fills ten times as much as the lower one
-
-
-class Canvas(NamedTuple):
-    """Size and pinhole parameters of a camera_info, pixels."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-
-def canvas_of(width: int, height: int, k: Sequence[float]) -> Canvas:
-    """Return the canvas of an image size and a camera matrix in rows."""
-    return Canvas(width, height, float(k[0]), float(k[4]), float(k[2]), float(k[5]))
 
 
 @dataclass(frozen=True)
@@ -86,13 +70,12 @@ class NodeFacts:
 class SilhouetteFacts:
     """What one camera sent while the doctor listened.
 
-    canvas : of the last camera_info heard; masks : silhouettes heard; lost : missing between the first and the last.
+    masks : silhouettes heard; lost : missing between the first and the last.
     share : of foreground, the median of those decoded; changes : how many differed from the one before.
     age_s : from capture to arrival here, the median.
     """
 
     camera: str
-    canvas: Canvas | None = None
     masks: int = 0
     lost: int = 0
     share: float = 0.0
@@ -123,13 +106,6 @@ class GraphFacts:
         """Return the client node of a camera."""
         return self.node(f"/{camera}/{CAMERA_NODE}")
 
-    def canvas(self, camera: str) -> Canvas | None:
-        """Return the canvas that the rig gives a camera; None where it does not know it."""
-        if self.rig is None or camera not in self.rig.names:
-            return None
-        model = self.rig.camera(camera).undistorted_view().camera
-        return canvas_of(model.width, model.height, model.K.ravel().tolist())
-
     @property
     def seeing(self) -> list[str]:
         """The cameras most of whose masks have a person's share of foreground."""
@@ -158,9 +134,8 @@ def collect_graph(
         count = len(expected) + len(SERVER_NODES) if expected else 1  # a whole graph, or any node
         lifecycle = settled(lambda: owners_of(node, "get_state", "lifecycle_msgs/srv/GetState"), count, ANSWER_S)
         cameras = sorted({*expected, *cameras_in(topics_of(node))})
-        qos, sent = SILHOUETTE_SUBSCRIBER, [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
-        masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
-        infos = [_listen(node, CameraInfo, f"{namespace}/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
+        sent = [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
+        masks = [_listen(node, CompressedImage, topic, SILHOUETTE_SUBSCRIBER) for topic in sent]
         ends_s = time.monotonic() + seconds
         requests = {name + GET_STATE: GetState.Request() for name in lifecycle}
         states = call_all(node, GetState, requests, ANSWER_S, repeatable=True)
@@ -181,8 +156,8 @@ def collect_graph(
                 for name in names
             ),
             tuple(
-                silhouette_facts(name, node.count_publishers(topic), mask.copy(), info.copy())
-                for name, topic, mask, info in zip(cameras, sent, masks, infos, strict=True)
+                silhouette_facts(name, node.count_publishers(topic), mask.copy())
+                for name, topic, mask in zip(cameras, sent, masks, strict=True)
             ),
             tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
@@ -202,18 +177,15 @@ def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
     return heard
 
 
-def silhouette_facts(camera: str, publishers: int, masks: Heard, infos: Heard) -> SilhouetteFacts:
+def silhouette_facts(camera: str, publishers: int, masks: Heard) -> SilhouetteFacts:
     """Return the facts about a camera's messages; without losses where several publish them."""
-    info = infos[-1][0] if infos else None
-    canvas = None if info is None else canvas_of(info.width, info.height, info.k)
     if not masks:
-        return SilhouetteFacts(camera, canvas)
+        return SilhouetteFacts(camera)
     data = [bytes(message.data) for message, _ in masks]
     numbers = [number for _, each in masks if (number := each.get("publication_sequence_number")) is not None]
     decoded = [mask_png.decode(each) for each in data[:: -(-len(data) // DECODED)]]
     return SilhouetteFacts(
         camera,
-        canvas,
         len(data),
         lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
         share=median([float((mask > SHADOW_CANDIDATE).mean()) for mask in decoded if mask is not None] or [0.0]),

@@ -1,10 +1,10 @@
-"""Checks of a rig file, its calibration reports, and footage of the rig."""
+"""Checks of a rig file and its calibration reports."""
 
 from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,15 +15,13 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.lens import is_fisheye
 from capture_rig.rig import Rig, load_rig
-from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, load_session
 from capture_rig.verdict import GOOD, REDO, USABLE
-from capture_rig.video import VideoFacts, ended_findings, examine_video
 from capture_rig.visibility import MOST_PIXEL_M, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
-from .cameras import BUSY, GIGABIT, JUMBO_MTU, footage_shape, wire_bytes
+from .cameras import BUSY, GIGABIT, JUMBO_MTU, wire_bytes
 from .findings import Finding, about, error, graded, note, warning
 
 Array = npt.NDArray[np.float64]
@@ -77,20 +75,14 @@ class RigView:
         return next((path for path in paths if path.is_file()), None)
 
 
-def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
-    """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
-    path = path or Path(session or ".") / "rig.yaml"
+def examine_rig(path: Path, intrinsics: Path | None) -> Iterator[Finding]:
+    """Examine the rig file at ``path``; ``intrinsics`` : the folder of the lenses, where they are not beside it."""
     rig = load_rig(path)
     view = RigView.of(rig, path, intrinsics)
     yield from about(SUBJECT, check_rig_report(view), check_coverage(view), check_regions(view), check_pairs(view))
-    videos: dict[str, VideoFacts] = {}
     for camera in rig.cameras:
-        subject = f"camera {camera.name}"
-        yield from about(subject, check_lens_report(view, camera), check_lens(camera), check_place(view, camera))
-        if session is not None:
-            yield from about(subject, check_footage(camera, session, videos))
-    if session is not None:
-        yield from about(f"session {session}", check_session(videos, session))
+        checks = check_lens_report(view, camera), check_lens(camera), check_place(view, camera)
+        yield from about(f"camera {camera.name}", *checks)
 
 
 def check_rig_report(view: RigView) -> Iterator[Finding]:
@@ -239,30 +231,6 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         (share < POOR_SHARE, error, "empty", f"Turn it, move it back, or {CALIBRATE}: a rig file of another set-up?"),
         (mm_per_px > 1e3 * MOST_PIXEL_M, warning, "coarse", "Use a longer lens, more pixels, or move it nearer."),
     )
-
-
-def check_footage(camera: CameraModel, session: Path, videos: dict[str, VideoFacts]) -> Iterator[Finding]:
-    """Whether a camera's footage and background can be read and have the calibrated size; ``videos`` gets the video."""
-    paths = {"footage": find_footage(session, camera.name, VIDEO_SUFFIXES)}
-    paths["background"] = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
-    if paths["footage"] is not None:
-        videos[camera.name] = examine_video(paths["footage"])
-    for kind, path in paths.items():
-        if path is None:  # loading the session says so
-            continue
-        height, width, *_ = footage_shape(path)
-        text = f"{width} x {height} pixels, the camera was calibrated at {camera.width} x {camera.height}"
-        remedy = "Record at the calibrated size, or calibrate at the recorded one."
-        yield graded(kind, text, ((width, height) != (camera.width, camera.height), error, "size_differs", remedy))
-
-
-def check_session(videos: Mapping[str, VideoFacts], session: Path) -> Iterator[Finding]:
-    """Whether the session can be loaded, its videos can be read to one end, and every camera has a background."""
-    for found in ended_findings(videos) if videos else ():
-        yield warning("footage.doubtful", found.what, found.remedy)
-    backgrounds = load_session(session).backgrounds
-    if bare := [camera for camera in videos if camera not in backgrounds]:
-        yield error("background.missing", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4.")
 
 
 def _sees(camera: CameraModel, places: Array) -> npt.NDArray[np.bool_]:

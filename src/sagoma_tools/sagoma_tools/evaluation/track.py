@@ -238,8 +238,7 @@ SHOWN = 3
 VARYING = re.compile(r": step .*|(?<![\w.])[+-]?\d+(?:\.\d+)?")
 """What may differ between two sets of which the same is said: which way to step, and numbers but a camera's name's."""
 REMEDY = (
-    "What to do about each: docs/tracking.md, 'Why it refuses'. Of footage and rig, sagoma doctor --session SESSION "
-    "says what is wrong."
+    "What to do about each: docs/tracking.md, 'Why it refuses'; what is wrong with the rig, sagoma doctor --rig says."
 )
 
 
