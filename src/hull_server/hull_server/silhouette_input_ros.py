@@ -108,28 +108,21 @@ class SilhouetteInput:
         try:
             check_mask_bytes(len(message), topic)
             image, canvas = read_message(message, CompressedImage), self._canvases[camera]
-        except InputError as error:
-            self._refuse_image(error)
-            return
-        stamp_ns = to_ns(image.header.stamp)
-        if self._settings.reliable and image.format == ABSENT:
-            self._dispatch(self._collector.add_absence(camera, stamp_ns, now_ns))
-            return
-        if not self._thinning.admits(stamp_ns, now_ns):
-            self._node.health.count("frames_thinned")
-            return
-        try:
+            stamp_ns = to_ns(image.header.stamp)
+            if self._settings.reliable and image.format == ABSENT:
+                self._dispatch(self._collector.add_absence(camera, stamp_ns, now_ns))
+                return
+            if not self._thinning.admits(stamp_ns, now_ns):
+                self._node.health.count("frames_thinned")
+                return
             mask = decode_silhouette(image, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
         except InputError as error:
-            self._refuse_image(error)
+            self._node.health.count("bad_images")
+            self._node.health.set("last_bad_image", error)
+            self._node.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
             return
         self._dispatch(self._collector.add(camera, stamp_ns, mask, now_ns))
         self._poll_at_deadline(now_ns)
-
-    def _refuse_image(self, error: InputError) -> None:
-        self._node.health.count("bad_images")
-        self._node.health.set("last_bad_image", error)
-        self._node.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
     def _on_camera_info(self, camera: str, topic: str, message: bytes) -> None:
         """Refuse a camera whose images are not made with the rig's calibration, until they are."""
@@ -188,12 +181,7 @@ class SilhouetteInput:
 
     def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
         for frame_set in closed:
-            self._note_restart(frame_set.stamp_ns)
+            back_ns, self._last_stamp_ns = self._last_stamp_ns - frame_set.stamp_ns, frame_set.stamp_ns
+            if back_ns > 0:
+                self._node.get_logger().warning(f"stamps went back by {back_ns / 1e9:.3f} s: a new beginning")
             self._on_closed(frame_set)
-
-    def _note_restart(self, stamp_ns: int) -> None:
-        """Say once that the stamps of the rig went back; counted by the collector."""
-        back_ns = self._last_stamp_ns - stamp_ns
-        self._last_stamp_ns = stamp_ns
-        if back_ns > 0:
-            self._node.get_logger().warning(f"stamps went back by {back_ns / 1e9:.3f} s: a new beginning")

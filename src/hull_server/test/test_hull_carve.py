@@ -86,11 +86,6 @@ def test_without_graphics_auto_falls_back_to_the_cpu_and_a_backend_by_name_refus
             backend_of(kind)
 
 
-def test_backend_of_an_unknown_name_is_refused():
-    with pytest.raises(InputError, match=r"backend = 'cuda' is not known"):
-        backend_of("cuda")
-
-
 def test_carve_counts_more_than_fifteen_cameras():
     """Votes are counted in binary planes of 1, 2, 4 and 8; more must not overflow."""
     rig = ring_rig(18, size=(96, 72), focal_px=75.0, seed=4, distortion=False)

@@ -40,6 +40,12 @@ def centres_of(rig, rays):
     return np.stack([camera.centre_world for camera in rig.cameras])[rays.camera]
 
 
+def rays_of(rig, masks, body, **settings):
+    """The contour rays of a hull, and their signed distances (n,) from the body."""
+    rays = hull_of(rig, masks, **settings).products.contour_rays
+    return rays, clearance(centres_of(rig, rays), rays.directions, body)[0]
+
+
 def clearance(centres, directions, body):
     """Signed distance (n,) of rays from a body of capsules, negative through it; the outward direction (n, 3) there and
     the place (n, 3): closest points of a line and a segment, in closed form, nearest capsule."""
@@ -130,16 +136,11 @@ def test_a_body_cut_off_by_the_view_has_no_rays_at_the_border():
     body = capsule_person(0.3, 0.1, -0.2)
     narrow = ring_rig(4, size=(480, 360), focal_px=700.0)
     masks = silhouettes(narrow, body)
-    views = {camera.name: camera.undistorted_view() for camera in narrow.cameras}
-    edges = {
-        name: view.seen & ~(cv2.erode(view.seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
-        for name, view in views.items()
-    }
-    assert sum((masks[name] > 0)[edges[name]].sum() for name in masks) > 100
-    rays = hull_of(narrow, masks).products.contour_rays
-    assert len(rays) > 200
-    distance, _, _ = clearance(centres_of(narrow, rays), rays.directions, body)
-    assert np.abs(distance).max() < 0.008
+    seen = {camera.name: camera.undistorted_view().seen.astype(np.uint8) for camera in narrow.cameras}
+    cut = {name: (seen[name] - cv2.erode(seen[name], np.ones((3, 3), np.uint8))) * mask for name, mask in masks.items()}
+    assert sum(map(np.count_nonzero, cut.values())) > 100
+    rays, distance = rays_of(narrow, masks, body)
+    assert len(rays) > 200 and np.abs(distance).max() < 0.008
 
 
 def test_silhouettes_of_what_no_other_camera_sees_have_no_rays(rig, person):
@@ -149,8 +150,7 @@ def test_silhouettes_of_what_no_other_camera_sees_have_no_rays(rig, person):
     windows = np.lib.stride_tricks.sliding_window_view(free, (60, 60))[::10, ::10]
     v, u = 10 * np.argwhere(windows.all(axis=(2, 3)))[0]
     disturbed["cam03"][v + 10 : v + 50, u + 10 : u + 50] = 255
-    rays = hull_of(rig, disturbed).products.contour_rays
-    distance, _, _ = clearance(centres_of(rig, rays), rays.directions, body)
+    rays, distance = rays_of(rig, disturbed, body)
     assert (rays.camera == 2).sum() > 100 and np.abs(distance).max() < 0.04
     assert len(rays) >= len(result.products.contour_rays) - 60
 
@@ -195,26 +195,17 @@ def test_rays_carry_the_time_of_their_camera_and_of_their_row(rig, person):
 
 def test_rays_of_a_camera_inside_the_hulls_box_are_found_too():
     """A camera so near that the hull's box is around and behind it."""
-    body = LIMB
     far = ring_rig(3, size=(640, 480), focal_px=470.0)
     near = look_at("cam09", np.array([0.3, 0.05, 1.5]), np.array([0.05, 0.0, 1.1]), 300.0, (640, 480))
     rig = Rig((*far.cameras, near), VOLUME)
-    tall = [*body, (np.array([0.6, 0.6, 0.3]), np.array([0.6, 0.6, 1.9]), 0.06)]
-    rays = hull_of(rig, silhouettes(rig, tall)).products.contour_rays
-    mine = rays.camera == 3
-    distance, _, _ = clearance(centres_of(rig, rays)[mine], rays.directions[mine], tall)
-    assert mine.sum() > 50 and np.sqrt(np.mean(distance**2)) < 0.003
+    tall = [*LIMB, (np.array([0.6, 0.6, 0.3]), np.array([0.6, 0.6, 1.9]), 0.06)]
+    rays, distance = rays_of(rig, silhouettes(rig, tall), tall)
+    mine = distance[rays.camera == 3]
+    assert len(mine) > 50 and np.sqrt(np.mean(mine**2)) < 0.003
 
 
 SIDE = 128
 V, U = np.mgrid[:SIDE, :SIDE].astype(float)
-
-
-def scratch():
-    cracks = 2 * SIDE * SIDE + 4
-    marks, filled = np.empty((SIDE, SIDE), np.uint8), np.zeros((SIDE + 2, SIDE + 16), np.uint8)
-    ends, path, along = np.empty(cracks // 4, np.int32), np.empty((cracks, 2), np.int16), np.empty(cracks)
-    return Scratch(marks, filled, ends, path, along)
 
 
 @njit(cache=True)
@@ -235,9 +226,9 @@ def _edges(mask, pixels, weights):
     return rows[:n]
 
 
-def pick(inside, *, shortest_px=4.0, spacing_px=1.0, most=2000, box=(0, 0, SIDE, SIDE)):
+def pick(inside, *, shortest_px=4.0, spacing_px=1.0, most=2000):
     mask = np.where(inside, 255, 0).astype(np.uint8)
-    return _pick(mask, box, (shortest_px, spacing_px), most, scratch())
+    return _pick(mask, (0, 0, SIDE, SIDE), (shortest_px, spacing_px), most, Scratch.of(SIDE, SIDE))
 
 
 def edges(inside, **rules):
@@ -286,16 +277,9 @@ def test_contour_pixels_follow_every_boundary_pixel_that_opencv_finds():
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     boundary = {tuple(point) for contour in contours for point in contour[:, 0]}
     # an 8-connected chain may cut the corner of a hole: every pixel on it beside background is on a crack
-    background = (
-        cv2.erode(
-            inside.astype(np.uint8),
-            cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
-            borderType=cv2.BORDER_CONSTANT,
-            borderValue=[0.0],
-        )
-        == 0
-    )
-    beside = {(u, v) for u, v in boundary if background[v, u]}
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    within = cv2.erode(inside.astype(np.uint8), cross, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
+    beside = {(u, v) for u, v in boundary if not within[v, u]}
     assert len(beside) > 500 and found == beside
 
 

@@ -28,6 +28,11 @@ def hull(rig: Rig, levels: dict[str, np.ndarray]) -> np.ndarray:
     return worker.without_shadows(carved, masks).to_dense()
 
 
+def hull_of_body(rig: Rig, body: dict[str, np.ndarray]) -> np.ndarray:
+    """The hull of what is foreground for sure."""
+    return hull(rig, {name: np.where(shown > 0, np.uint8(255), np.uint8(0)) for name, shown in body.items()})
+
+
 LOW = round((FLOOR_M - GRID.origin[2]) / GRID.voxel_size)  # the layers next to the floor
 
 
@@ -71,8 +76,8 @@ def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras):
     resolved = resolver(rig).resolve(levels)
     assert share(levels, shadow) == 1.0 and share(resolved, shadow) < 0.25 and share(resolved, body) == 1.0
     assert all(np.array_equal(levels[n], before[n]) for n in levels)
-    exact, found = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()}), hull(rig, levels)
-    everything = hull(rig, {n: np.where(m > 0, np.uint8(255), np.uint8(0)) for n, m in levels.items()})
+    exact, found = hull_of_body(rig, body), hull(rig, levels)
+    everything = hull_of_body(rig, levels)
     assert (found & exact).sum() > 0.98 * exact.sum()
     extra, removed = (found & ~exact)[:, :, :LOW].sum(), (everything & ~found)[:, :, :LOW].sum()
     assert removed > 500 and extra < 0.1 * removed
@@ -83,7 +88,7 @@ def test_candidates_deny_no_body_that_the_others_see_and_no_floor_is_left_of_the
     above = look_at("cam06", np.array([0.4, 0.3, 4.0]), np.array([0.0, 0, 0]), 235.0, (320, 240))
     rig = Rig((*ring_rig(5, seed=2).cameras, above), VOLUME)
     levels, body, shadow = body_and_shadow(rig)
-    exact = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()})
+    exact = hull_of_body(rig, body)
     levels["cam06"][body["cam06"] | shadow["cam06"]] = CANDIDATE_LEVELS[2]  # a person who looks like floor in shadow
     found = hull(rig, levels)
     assert (found & exact)[:, :, LOW:].sum() > 0.99 * exact[:, :, LOW:].sum()
@@ -105,7 +110,7 @@ def test_clothes_exactly_as_dark_as_the_shadow_lose_little_more_than_the_soles()
     rig = ring_rig(6, seed=3)
     levels, body, shadow = body_and_shadow(rig, body_level=ATTENUATED_LEVELS[4])
     assert share(resolver(rig).resolve(levels), shadow) < 0.25
-    exact, found = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()}), hull(rig, levels)
+    exact, found = hull_of_body(rig, body), hull(rig, levels)
     assert (found & exact)[:, :, LOW:].sum() > 0.95 * exact[:, :, LOW:].sum()
 
 

@@ -181,12 +181,23 @@ def test_footage_started_again_begins_a_new_timeline_at_once_and_loses_nothing()
     assert counted == {"frames": 375, "complete": 125, "restarts": 1}
 
 
-def test_footage_started_again_after_a_camera_died_goes_on_without_it():
-    collector = make_collector()
-    send(collector, range(100))
-    sets = send(collector, range(100, 120), TWO) + send(collector, range(10), TWO, later=121) + collector.flush()
-    assert instants_of(sets) == [*range(100, 120), *range(10)]
-    assert collector.counters.backwards == collector.counters.late == 0
+@pytest.mark.parametrize(
+    ("options", "spans", "restarts"),
+    [
+        ({}, [(range(10), CAMERAS, 0), (range(1000, 1010), CAMERAS, 0)], 0),
+        ({"tolerance_ns": 150 * PERIOD, "deadline_ns": 600 * PERIOD}, [(range(0, 1500, 300), CAMERAS, 0)], 0),
+        ({}, [(range(100), CAMERAS, 0), (range(100, 120), TWO, 0), (range(10), TWO, 121)], 1),
+    ],
+    ids=["a pause", "slow cameras", "started again after a camera died"],
+)
+def test_leap_of_all_live_cameras_loses_nothing(options, spans, restarts):
+    collector, sets = make_collector(**options), []
+    for instants, cameras, later in spans:
+        sets += send(collector, instants, cameras, later=later)
+    sets += collector.flush()
+    assert instants_of(sets) == [k for instants, _, _ in spans for k in instants]
+    assert sum(len(each.frames) for each in sets) == collector.counters.frames
+    assert collector.counters.restarts == restarts
 
 
 @pytest.mark.parametrize(
@@ -222,14 +233,6 @@ def test_clock_step_of_most_cameras_moves_the_rig():
     moved = [each for each in sets if each.stamp_ns >= EPOCH + HOUR]
     assert instants_of(moved) == list(range(20, 60))
     assert all(set(each.frames) == {"cam01", "cam03"} for each in moved)
-
-
-def test_pause_of_all_cameras_loses_nothing():
-    collector = make_collector()
-    sets = send(collector, range(10)) + send(collector, range(1000, 1010))
-    assert instants_of(sets) == [*range(10), *range(1000, 1010)]
-    assert all(not each.missing for each in sets)
-    assert collector.counters.restarts == 0
 
 
 @pytest.mark.parametrize(
@@ -289,13 +292,6 @@ def test_cameras_one_after_the_other_still_meet_while_their_sets_are_open():
     sets = [each for camera in CAMERAS for each in send(collector, range(300), [camera])]
     assert instants_of(sets) == list(range(300))
     assert all(not each.missing for each in sets)
-
-
-def test_slow_cameras_do_not_leap_with_every_frame():
-    slow = 300  # periods: five seconds
-    collector = make_collector(tolerance_ns=slow * PERIOD // 2, deadline_ns=2 * slow * PERIOD)
-    assert instants_of(send(collector, range(0, 5 * slow, slow))) == list(range(0, 5 * slow, slow))
-    assert collector.counters.restarts == 0
 
 
 def test_rival_timeline_is_settled_when_nobody_delivers_any_more():

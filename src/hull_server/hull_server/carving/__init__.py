@@ -6,7 +6,6 @@ from capture_rig import InputError
 
 from ..grid import VoxelGrid
 from ..opengl.egl import NoGraphics
-from ..settings import BACKENDS
 from ..views import CarveBackend, RigViews
 from .cpu_carver import CpuCarver
 
@@ -15,11 +14,8 @@ def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> tuple[CarveBack
     """Make backend ``kind``; also return the reason for it, a sentence for the log.
 
     "auto" takes OpenGL compute where hardware offers it, and the CPU otherwise: software OpenGL is several times slower
-    than the CPU backend. Raises InputError for an unknown kind, or when "gl" or "sweep" is asked for and no OpenGL 4.3
-    context can be had.
+    than the CPU backend. Raises InputError when "gl" or "sweep" is asked for and no OpenGL 4.3 context can be had.
     """
-    if kind not in BACKENDS:
-        raise InputError(f"backend = {kind!r} is not known", remedy=f"Choose one of {', '.join(BACKENDS)}.")
     if kind == "cpu":
         return CpuCarver(views, grid), "the CPU backend was asked for"
     try:

@@ -47,15 +47,13 @@ class CameraFaults:
     left_out : cameras to carve without. suspects : cameras that would be left out if enough others remained.
     reasons : a message with the remedy for each of both.
     means : what is wrong with each camera's silhouettes; see :class:`.silhouette_residuals.CameraResiduals`.
-    conflict : share of the foreground of all cameras not left out that their common hull leaves unexplained.
-    warning : that they contradict each other and no camera can be blamed; empty otherwise.
+    warning : that the cameras not left out contradict each other and none can be blamed; empty otherwise.
     """
 
     left_out: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     means: Mapping[str, CameraResiduals] = field(default_factory=dict)
-    conflict: float = 0.0
     warning: str = ""
     updated: bool = False
 
@@ -162,7 +160,6 @@ class CameraFaultDetector:
             suspects=suspects,
             reasons=reasons,
             means={name: record.mean for name, record in records.items()},
-            conflict=self._conflict,
             warning=warning,
             updated=True,
         )

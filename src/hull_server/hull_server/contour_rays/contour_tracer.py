@@ -44,11 +44,7 @@ class ContourTracer:
         self._weights = weights()
         self._cameras = [_camera(P, seen) for P, seen in zip(views.P, views.seen, strict=True)]
         self._limits = settings.per_camera, settings.spacing_px
-        height, width = views.seen.shape[1:]
-        cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
-        path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
-        filled = np.zeros((height + 2, width + 16), np.uint8)
-        self._scratch = Scratch(np.empty((height, width), np.uint8), filled, ends, path, along)
+        self._scratch = Scratch.of(*views.seen.shape[1:])
 
     def trace(self, masks: Masks, runs: HullRuns, levels: Masks | None = None) -> ContourRays:
         """Trace canvas masks (h, w) uint8, foreground above 127; keep the rays that touch their hull.
@@ -97,6 +93,13 @@ class Scratch(NamedTuple):
     ends: npt.NDArray[np.int32]
     path: npt.NDArray[np.int16]
     along: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, height: int, width: int) -> Scratch:
+        cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
+        path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
+        filled = np.zeros((height + 2, width + 16), np.uint8)
+        return cls(np.empty((height, width), np.uint8), filled, ends, path, along)
 
 
 def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:

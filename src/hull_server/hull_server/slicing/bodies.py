@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,34 +22,11 @@ from .voxel_runs import HullRuns
 
 NOBODY = -1
 STEP_M = 0.5  # a step: parts one above the other, across the floor; a hand from its trunk; a body between two sets
-BESIDE_M = (
-    0.25  # a person's parts side by side have middles no farther apart: a chest's depth (ANSUR II, 95th percentile)
-)
+BESIDE_M = 0.25  # a person's parts side by side have middles no farther apart: a chest's depth (ANSUR II, 95th perc.)
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
-    """The b persons of a hull: its parts that are large enough for a body's, joined where they are one's. Metres, map.
-
-    litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
-    number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
-    number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a small one, that of
-        the nearest large part; NOBODY for parts farther than STEP_M from every large one's box, and for all where there
-        is no body. It numbers the rows of centerline, voxels and contour rays.
-    """
-
-    litres: Array
-    centroid_world: Array
-    low_world: Array
-    high_world: Array
-    number: npt.NDArray[np.int32]
-    number_of_part: npt.NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.litres)
-
-
-class Parts(NamedTuple):
+class Parts:
     """The p parts of a hull that do not touch, in the order of their first voxels. Metres, map frame.
 
     litres : (p,). centroid_world, low_world, high_world : (p, 3) centre of mass and box.
@@ -60,6 +36,23 @@ class Parts(NamedTuple):
     centroid_world: Array
     low_world: Array
     high_world: Array
+
+    def __len__(self) -> int:
+        return len(self.litres)
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies(Parts):
+    """The b persons of a hull: its parts that are large enough for a body's, joined where they are one's.
+
+    number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
+    number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a small one, that of
+        the nearest large part; NOBODY for parts farther than STEP_M from every large one's box, and for all where there
+        is no body. It numbers the rows of centerline, voxels and contour rays.
+    """
+
+    number: npt.NDArray[np.int32]
+    number_of_part: npt.NDArray[np.int32]
 
 
 class BodyTracker:
@@ -85,11 +78,11 @@ class BodyTracker:
         whose = _whose(parts, chosen)
         bodies = _joined(parts, chosen, whose)
         number = self._numbers(stamp_ns, bodies.centroid_world)
-        number_of_part = np.full(len(parts.litres), NOBODY, np.int32)
+        number_of_part = np.full(len(parts), NOBODY, np.int32)
         if len(chosen) > 0:
             nearest, gap_m = _nearest_box(parts, chosen)
             number_of_part = np.where(gap_m <= STEP_M, number[whose[nearest]], NOBODY).astype(np.int32)
-        return Bodies(*bodies, number, number_of_part)
+        return Bodies(**vars(bodies), number=number, number_of_part=number_of_part)
 
     def _numbers(self, stamp_ns: int, centroid_world: Array) -> npt.NDArray[np.int32]:
         self._known = {
