@@ -146,8 +146,7 @@ class SilhouettePipeline:
         self.measures_distance = background_settings.rule == "adaptive"
         """Whether the background says how far a pixel is from it, not only on which side."""
         self._evidence = EvidenceFilter(camera.height) if self.measures_distance else None
-        graded = self.measures_distance and settings.evidence == "graded"
-        self._colours = PeopleColours(self._shape) if graded else None
+        self._colours = PeopleColours(self._shape) if self.measures_distance else None
         self.parts: Parts | None = None
         """Of the last silhouette, on the thread that segments; None without foreground."""
         self._untimed_ns = 0
