@@ -178,8 +178,7 @@ def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: flo
     grid = np.where(meets, np.uint8(255), np.uint8(0))
     if volume is not None:
         grid = cv2.dilate(grid, _THREE)  # the grid is coarse: rather a pixel too many
-    full = cv2.resize(grid, (u.shape[1] * GRID_PX, u.shape[0] * GRID_PX), interpolation=cv2.INTER_NEAREST)
-    return np.ascontiguousarray(full[: camera.height, : camera.width])
+    return enlarged(grid, GRID_PX, (camera.height, camera.width))
 
 
 # --- colour images
