@@ -70,9 +70,7 @@ class PictureAlignment:
     def has_enough_edges(self) -> bool:
         """Whether the reference has enough edges, in enough parts of the picture, to measure a turn."""
         finest = self._levels[0]
-        coarsest = self._levels[-1]
-        enough = len(finest.value) >= FEW_POINTS and len(coarsest.value) >= FEW_CELLS
-        return enough and len(np.unique(finest.cell)) >= FEW_CELLS
+        return len(finest.value) >= FEW_POINTS and len(np.unique(finest.cell)) >= FEW_CELLS
 
     def displacement_of(self, turn_rad: Array) -> tuple[float, float, float]:
         """Return how far a small turn moves the picture's middle right and down (pixels), and its roll (radians)."""
@@ -272,41 +270,22 @@ def choose_edge_points(camera: CameraModel, mean: npt.NDArray[np.float32], sigma
     ``mean`` (H, W[, 3]) : the reference picture, grey levels. ``sigma`` : noise of a pixel of a frame, grey levels.
     """
     camera = replace(camera, T_camera_world=np.eye(4))  # its world is its own frame
-    factor = work_factor(mean.shape)
-    green = mean if mean.ndim == 2 else mean[..., 1]
-    brightness = float(np.median(green)) + DARK_LEVEL
-    found = []
+    factor, found = work_factor(mean.shape), []
+    brightness = float(np.median(mean if mean.ndim == 2 else mean[..., 1])) + DARK_LEVEL
     for level, picture in enumerate(contrast_pyramid(mean)):
-        scale = factor << level
+        scale = float(factor << level)
         noise = max(SMOOTHED * sigma / scale, LEAST_NOISE / (1 << level)) / brightness
-        found.append(_choose(camera, picture, float(scale), noise))
+        gradient = np.stack([cv2.Scharr(picture, cv2.CV_32F, *d) / 32 for d in ((1, 0), (0, 1))], axis=-1)
+        steepness = np.hypot(gradient[..., 0], gradient[..., 1])
+        row, column, cell = strongest(steepness, max(BEYOND_NOISE * noise, FLAT), CELLS_ACROSS, POINTS_IN_CELL)
+        pixels = scale * np.column_stack([column, row]) + (scale - 1) / 2
+        rays, turns = camera.rays_world(pixels), TINY_TURN_RAD * np.eye(3)
+        moved = [camera.project(rays + np.cross(turn, rays)) - pixels for turn in turns]
+        slope = np.einsum("nk,jnk->nj", gradient[row, column], np.stack(moved) / TINY_TURN_RAD / scale)
+        value, steepness = (each[row, column].astype(float) for each in (picture, steepness))
+        points = EdgePoints(rays, value, steepness, slope, cell, noise, scale)
+        found.append(points.subset(np.isfinite(slope).all(axis=1)))
     return found
-
-
-def _choose(camera: CameraModel, picture: Picture, scale: float, noise: float) -> EdgePoints:
-    gradient = np.stack([cv2.Scharr(picture, cv2.CV_32F, *d) / 32 for d in ((1, 0), (0, 1))], axis=-1)
-    steepness = np.hypot(gradient[..., 0], gradient[..., 1])
-    row, column, cell = strongest(steepness, max(BEYOND_NOISE * noise, FLAT), CELLS_ACROSS, POINTS_IN_CELL)
-    pixels = scale * np.column_stack([column, row]) + (scale - 1) / 2
-    rays = camera.rays_world(pixels)
-    moves = np.stack(
-        [
-            (camera.project(rays + np.cross(axis, rays)) - pixels) / TINY_TURN_RAD / scale
-            for axis in TINY_TURN_RAD * np.eye(3)
-        ],
-        axis=-1,
-    )
-    slope = np.einsum("nk,nkj->nj", gradient[row, column], moves)
-    found = EdgePoints(
-        rays=rays,
-        value=picture[row, column].astype(float),
-        steepness=steepness[row, column].astype(float),
-        slope=slope,
-        cell=cell,
-        noise=noise,
-        scale=scale,
-    )
-    return found.subset(np.isfinite(slope).all(axis=1))
 
 
 def strongest(

@@ -31,7 +31,6 @@ class Condition:
     light_flicker: float | None = None  # standard deviation of the light from frame to frame, share
     light_switches_recent: int | None = None  # how often the light changed suddenly in the last RECENT_S
     noise_levels: float | None = None  # standard deviation of a pixel of middle grey, grey levels
-    noise_learned_levels: float | None = None  # the same when the background was learned
     displacement_px: float | None = None  # by how much the background was moved to follow the picture
     displacement_left_px: float | None = None  # standard deviation of what is left of it
     background_doubtful: float | None = None  # share of the pixels that are white or black
@@ -81,7 +80,6 @@ class ConditionWatch:
             light_flicker=state.flicker,
             light_switches_recent=state.switches - self._switches[0][1],
             noise_levels=state.noise.sigma(TYPICAL_LEVEL),
-            noise_learned_levels=state.learned_noise.sigma(TYPICAL_LEVEL),
             displacement_px=scale * state.displacement.most_px(self._pipeline.image_shape),
             displacement_left_px=scale * state.left_px,
             background_doubtful=state.doubtful,

@@ -45,13 +45,13 @@ class Movement:
     """How the camera has moved since its calibration.
 
     turn_rad (3,) : rotation vector of the camera in its own frame (x right, y down, z forward), radians; a push aside
-    shows as the turn that has nearly the same effect. shift_px (2,) : how far the middle of the picture moved, right
-    and down. agreeing : share of the background's edges that confirm it, beyond chance.
+    shows as the turn that has nearly the same effect. shift_px : how far the middle of the picture moved. agreeing :
+    share of the background's edges that confirm it, beyond chance.
     """
 
     state: MovementState = MovementState.UNKNOWN
     turn_rad: Array = field(default_factory=lambda: np.zeros(3))
-    shift_px: Array = field(default_factory=lambda: np.zeros(2))
+    shift_px: float = 0.0
     agreeing: float = 0.0
 
     @property
@@ -73,9 +73,8 @@ class Movement:
             )
         if self.state is not MovementState.MOVED:
             return ""
-        shift_px = float(np.hypot(*self.shift_px))
         return (
-            f"{camera} was moved: its picture is shifted by {shift_px:.1f} px ({self.swing_deg:.1f} degrees), "
+            f"{camera} was moved: its picture is shifted by {self.shift_px:.1f} px ({self.swing_deg:.1f} degrees), "
             f"turned by {abs(self.turned_deg):.1f} degrees: put it back, or calibrate it and learn its background "
             "again"
         )
@@ -85,7 +84,7 @@ class Movement:
         values: dict[str, object] = {"camera_moved": self.state.value}
         if self.state in (MovementState.STILL, MovementState.MOVED):
             values |= {
-                "camera_shift_px": round(float(np.hypot(*self.shift_px)), 2),
+                "camera_shift_px": round(self.shift_px, 2),
                 "camera_shift_deg": round(self.swing_deg, 3),
                 "camera_turn_deg": round(self.turned_deg, 3),
                 "camera_edges_agreeing": round(self.agreeing, 3),
@@ -154,7 +153,7 @@ class CameraMovedDetector:
         return Movement(
             state=MovementState.MOVED if np.linalg.norm(total_rad) > limit_rad else MovementState.STILL,
             turn_rad=total_rad,
-            shift_px=self._focal_px * np.array([total_rad[1], -total_rad[0]]),
+            shift_px=float(self._focal_px * np.hypot(*total_rad[:2])),
             agreeing=float(np.median([sample.agreeing for sample in self._samples])),
         )
 

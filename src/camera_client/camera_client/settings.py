@@ -174,12 +174,6 @@ class SilhouetteSettings:
         "Shadows: mark them, and what might be one, for the hull server to resolve; remove them; or keep them",
         choices=("mark", "remove", "keep"),
     )
-    evidence: str = setting(
-        "graded",
-        "graded: where the background looks like the people in the room the silhouette is uncertain; binary: it is "
-        "background (thesis)",
-        choices=("graded", "binary"),
-    )
     closing: float = setting(
         0.0085, "Cracks in the silhouette up to about this width are closed", unit="share of height", low=0, high=0.1
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from camera_pictures import learned
 
-from camera_client.alignment import PictureAlignment, choose_edge_points
+from camera_client.alignment import PictureAlignment
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels
 from virtual_studio.rendering.camera import Sensor
@@ -75,10 +75,3 @@ def test_silhouette_on_the_canvas_has_nothing_of_what_happens_in_a_folded_corner
 def test_turn_of_a_camera_with_a_folding_lens_is_measured(turn_deg):
     found = PictureAlignment(camera(), background().mean, NOISE).align(picture(1, turn_deg))
     assert np.degrees(found.turn_rad) == pytest.approx(turn_deg, abs=0.1)
-
-
-def test_places_to_compare_have_rays():
-    mean = background().mean.copy()
-    mean[rayless()] = np.random.default_rng(3).uniform(0, 255, rayless().sum())  # edges in the folded corners
-    for points in choose_edge_points(camera(), mean, NOISE):
-        assert np.isfinite(points.rays).all() and np.isfinite(points.slope).all()

@@ -50,14 +50,13 @@ def samples_of(image: Image) -> Samples:
 class BackgroundState:
     """What was measured in the last frame, for people.
 
-    light : against that when the background was learned. noise, learned_noise : of a pixel. displacement : followed so
-    far. left_px : displacement that is left, standard deviation. doubtful : share of the pixels that can tell little.
-    switches : how often the light changed suddenly. flicker : its standard deviation between frames, as a share.
+    light : against that when the background was learned. noise : of a pixel. displacement : followed so far. left_px :
+    displacement that is left, standard deviation. doubtful : share of the pixels that can tell little. switches : how
+    often the light changed suddenly. flicker : its standard deviation between frames, as a share.
     """
 
     light: Light
     noise: Noise
-    learned_noise: Noise
     displacement: Displacement
     left_px: float
     doubtful: float
@@ -81,10 +80,9 @@ class AdaptiveBackground:
         one only displacements of a pixel are followed."""
         measured = model.provenance.frames > 1
         channels = 1 if model.mean.ndim == 2 else model.mean.shape[2]
-        assumed = assumed_noise(model.provenance.mean_noise, channels)
-        self._learned_noise = self._noise = learned_noise(model) if measured else assumed
-        self._least_noise = self._learned_noise if measured else assumed_noise(settings.sigma_floor, channels)
-        self._image = ExpectedImage(model, self._learned_noise if measured else None, settings.sigma_floor)
+        self._noise = learned_noise(model) if measured else assumed_noise(model.provenance.mean_noise, channels)
+        self._least_noise = self._noise if measured else assumed_noise(settings.sigma_floor, channels)
+        self._image = ExpectedImage(model, self._noise if measured else None, settings.sigma_floor)
         self.threshold = min(round(SCALE * float(chdtri(channels, settings.risk))), int(HIGHEST) - 1)
         height, width = model.shape[:2]
         step = max(1, math.isqrt(height * width // SAMPLES))
@@ -127,7 +125,6 @@ class AdaptiveBackground:
         return BackgroundState(
             self.light,
             self._noise,
-            self._learned_noise,
             shift.total,
             shift.left_px,
             self._image.doubtful,
@@ -305,7 +302,7 @@ class FixedBackground:
         typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
         channels = 1 if model.mean.ndim == 2 else 3
         self.light, self.noise = Light.unchanged(channels), assumed_noise(typical, channels)
-        self.state = BackgroundState(self.light, self.noise, self.noise, Displacement(), 0.0, 0.0)
+        self.state = BackgroundState(self.light, self.noise, Displacement(), 0.0, 0.0)
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Follow nothing."""

@@ -92,11 +92,6 @@ CAUSES = (
         "if a person stood there, clear the room and learn again; moved furniture is all right",
         changed_share=(NEVER, 0),
     ),
-    cause(
-        "noise.low: the noise is suspiciously low, {noise_levels:.2f} grey levels on the median",
-        "check that the camera sends new pictures and does not smooth them",
-        noise_lacking=(NEVER, 0),
-    ),
     cause("light.flicker: the brightness flickers by {flicker:.1%}", MAINS, flicker=(NEVER, 0.01)),
     cause(
         "light.drift: the brightness changed by {drift:+.1%} while it was learned",

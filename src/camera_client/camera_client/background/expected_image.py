@@ -126,11 +126,6 @@ class ExpectedImage:
         refresh_samples(self._thinned, today, first, end, *(each.reshape(shape) for each in self.samples))
 
 
-def whole_rows(height: int, width: int) -> Rows:
-    """Return that all of a part is looked at."""
-    return np.tile([0, width], (height, 1))
-
-
 def _in_cells(at: npt.NDArray[np.intp], size: int, cells: int) -> Floats:
     """Return where rows or columns of a picture of that ``size`` lie between the middles of the light's cells."""
     return ((at + 0.5) * cells / size - 0.5).clip(0, cells - 1).astype(np.float32)

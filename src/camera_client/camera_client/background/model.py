@@ -165,12 +165,6 @@ class BackgroundLearner:
         return BackgroundModel(mean.astype(np.float32), sigma, Provenance(source, n, float(sigma.mean()), **about))
 
 
-def background_from_still(image: Image, sigma: float, source: str, **about: str) -> BackgroundModel:
-    """Return a model from one picture of the empty scene: its noise is not measured but assumed to be ``sigma``."""
-    mean = image.astype(np.float32)
-    return BackgroundModel(mean, np.full_like(mean, sigma), Provenance(source, 1, sigma, **about))
-
-
 def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.NDArray[np.float64]:
     """Return how far a grey level may lie from the mean; negative where no grey level is background.
 
@@ -265,5 +259,6 @@ def _learn(reader: FootageReader, settings: BackgroundSettings) -> BackgroundMod
         last = image
         learner.add(image)
     if last is not None and learner.frames == 1:
-        return background_from_still(last, NOISIEST, str(reader.path), software=SOFTWARE)
+        about = Provenance(str(reader.path), 1, NOISIEST, software=SOFTWARE)
+        return BackgroundModel(last.astype(np.float32), np.full(last.shape, NOISIEST, np.float32), about)
     return learner.model(str(reader.path), software=SOFTWARE)

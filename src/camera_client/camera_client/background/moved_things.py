@@ -53,8 +53,7 @@ class MovedThings:
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32], scale: int = 1) -> None:
         """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all. ``scale``: pixels of
         the camera, in each direction, to one of the images."""
-        self._scale, self.block_px = scale, scale * BLOCK_PX
-        self._others = SupportHistory(camera, self.block_px, COUNTED_S)
+        self._others = SupportHistory(camera, scale * BLOCK_PX, COUNTED_S)
         self._shape = (-(-camera.height // scale), -(-camera.width // scale))
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()

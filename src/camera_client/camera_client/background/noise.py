@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import nnls
 
 from .kernels import HALF_MEDIAN, USUAL_S, WITHIN_NOISE
 from .model import NOISIEST, BackgroundModel
@@ -114,23 +115,18 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
 
 
 def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Fit read and slope (C,) by the medians of the squares (n, C) over pixels of similar level (n, C)."""
+    """Fit read and slope (C,), neither of them negative, by the medians of the squares (n, C) over pixels of similar
+    level (n, C)."""
     order = np.array_split(np.argsort(level.sum(axis=1), kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
     x = np.array([level[part].mean(axis=0) for part in parts], float)
     y = np.array([np.median(square[part].astype(np.float32), axis=0) for part in parts], float)
     weight = 1 / np.maximum(y, LEAST_VARIANCE)
-    w2 = weight**2
-    sw, sx, sy, sxx, sxy = (each.sum(axis=0) for each in (w2, w2 * x, w2 * y, w2 * x * x, w2 * x * y))
-    det = sw * sxx - sx * sx
-    slope = np.where(det > 1e-9 * sw * sxx, (sw * sxy - sx * sy) / np.maximum(det, 1e-300), 0.0)
-    read = (sy - slope * sx) / sw
-    # neither can be less than 0: else the better of the two lines with one of them 0
-    flat, through = sy / sw, sxy / np.maximum(sxx, 1e-300)
-    is_flat = ((weight * (y - flat)) ** 2).sum(axis=0) <= ((weight * (y - through * x)) ** 2).sum(axis=0)
-    unfit = (slope < 0) | (read < 0)
-    read = np.where(unfit, np.where(is_flat, flat, 0.0), read)
-    slope = np.where(unfit, np.where(is_flat, 0.0, through), slope)
+    lines = [
+        nnls(w[:, None] * np.stack([np.ones_like(a), a], axis=1), w * b)[0]
+        for a, b, w in zip(x.T, y.T, weight.T, strict=True)
+    ]
+    read, slope = np.array(lines).T
     return np.clip(read + QUANTISATION, LEAST_VARIANCE, MOST_VARIANCE), slope
 
 

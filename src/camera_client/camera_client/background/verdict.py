@@ -23,11 +23,9 @@ from .causes import find_causes
 from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance
 from .moved_things import BLOCK_PX
-from .noise import QUANTISATION
 
 # Thresholds: chosen with the rooms of test_camera_background_verdict.py.
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
-LOW_NOISE = QUANTISATION**0.5  # grey levels, of the typical pixel: rounding alone makes as much
 THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
 MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
 
@@ -79,7 +77,7 @@ def _picture_figures(model: BackgroundModel) -> dict[str, Any]:
         "frames": frames,
         "noise_error": (2 * (frames - 1)) ** -0.5 if frames > 1 else 1.0,
     }
-    return figures if frames == 1 else figures | {"noise_levels": noise, "noise_lacking": LOW_NOISE - noise}
+    return figures if frames == 1 else figures | {"noise_levels": noise}
 
 
 def _steadiness_figures(brightness: Sequence[float]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..alignment import PictureAlignment
 from ..background.adaptive import AdaptiveBackground, FixedBackground, samples_of
-from ..background.expected_image import Corners, Samples, whole_rows
+from ..background.expected_image import Corners, Samples
 from ..background.kernels import HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
@@ -146,8 +146,7 @@ class SilhouettePipeline:
         self.measures_distance = background_settings.rule == "adaptive"
         """Whether the background says how far a pixel is from it, not only on which side."""
         self._evidence = EvidenceFilter(camera.height) if self.measures_distance else None
-        graded = self.measures_distance and settings.evidence == "graded"
-        self._colours = PeopleColours(self._shape) if graded else None
+        self._colours = PeopleColours(self._shape) if self.measures_distance else None
         self.parts: Parts | None = None
         """Of the last silhouette, on the thread that segments; None without foreground."""
         self._untimed_ns = 0
@@ -247,7 +246,7 @@ class SilhouettePipeline:
 
     def _look_at(self, image: Image, box: Corners) -> tuple[npt.NDArray[np.float32], Mask]:
         """Return what is expected in a box, and the foreground of every pixel, that was absorbed as well."""
-        whole = whole_rows(box[2] - box[0], box[3] - box[1])
+        whole = np.tile([0, box[3] - box[1]], (box[2] - box[0], 1))
         expected, (distance, _) = self.background.look(image, box, whole)
         return expected, np.asarray(cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1])
 
@@ -260,15 +259,10 @@ class SilhouettePipeline:
 
     def _trim_outline(self, kept: Mask, change: Mask) -> tuple[Mask, Mask]:
         """Return the person, and which pixels of the image around them, where that is finer, are only background."""
-        least = self._settings.outline_contrast
+        fine = trim_outline(kept, change, self._settings.outline_contrast, self._colour, self.scale)
         if self.scale == 1:
-            person = trim_outline(kept, change, least, self._colour) if least > 0 else kept
-            return person, np.zeros((0, 0), np.uint8)
-        shape = self.scale * kept.shape[0], self.scale * kept.shape[1]
-        if least <= 0:
-            return kept, np.zeros(shape, np.uint8)
-        fine = trim_outline(kept, change, least, self._colour, self.scale)
-        return kept, cv2.subtract(enlarged(kept, self.scale, shape), fine)
+            return fine, np.zeros((0, 0), np.uint8)
+        return kept, cv2.subtract(enlarged(kept, self.scale, fine.shape), fine)
 
     def _in_image(self, levels: Mask, whole: Box, box: Box, cut: Mask) -> tuple[Mask, Box]:
         """Return levels in the image's own pixels, and the box ``whole`` outside of which they are 0; ``cut`` : 255 at

@@ -29,7 +29,7 @@ from ..background.verdict import HAND, PERSON
 from ..frame_source import Image, Mask
 from .evidence import COLOUR_SHARE, Scene
 from .masks import Box, majority
-from .texture import as_dark_as_near, blocks_that_fit, halve, lose_texture, shadow_sums, sum_by_label
+from .texture import blocks_that_fit, halve, lose_texture, shadow_sums, sum_by_label
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -121,7 +121,10 @@ class FloorShadow:
         """Pixels beside a patch that are as dark, against the floor, as the patch is near them: windows that reach into
         the body fit nothing."""
         beside = cv2.bitwise_and(looked_at, cv2.subtract(cv2.dilate(patches, self._border), patches))
-        near = as_dark_as_near(image, expected, patches, len(self._border), WITHIN_NOISE * sigma)
+        own, seen, there = patches[::2, ::2] > 0, image[::2, ::2], expected[::2, ::2]
+        X, M = (cv2.blur(np.where(own, each, np.float32(0)), self._border.shape) for each in (seen, there))
+        off = X / np.maximum(M, np.float32(1e-3)) * there - seen
+        near = np.where(np.abs(off) <= WITHIN_NOISE * sigma, np.uint8(255), np.uint8(0))
         fits = majority(cv2.bitwise_and(enlarged(near, 2, patches.shape), beside), 3)
         fits = cv2.morphologyEx(cv2.bitwise_or(fits, patches), cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_and(fits, looked_at)
@@ -175,8 +178,7 @@ def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: flo
     grid = np.where(meets, np.uint8(255), np.uint8(0))
     if volume is not None:
         grid = cv2.dilate(grid, _THREE)  # the grid is coarse: rather a pixel too many
-    full = cv2.resize(grid, (u.shape[1] * GRID_PX, u.shape[0] * GRID_PX), interpolation=cv2.INTER_NEAREST)
-    return np.ascontiguousarray(full[: camera.height, : camera.width])
+    return enlarged(grid, GRID_PX, (camera.height, camera.width))
 
 
 # --- colour images

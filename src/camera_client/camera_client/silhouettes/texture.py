@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
 from ..background.kernels import F32, OPTIONS
-from ..frame_source import Image, Mask
-
-Floats = npt.NDArray[np.floating]
 
 
 def halve(image: np.ndarray) -> np.ndarray:
@@ -174,19 +170,3 @@ def sum_by_label(labels, values, sums):  # type: ignore[no-untyped-def]
             b[k] += values[1, y, x]
             c[k] += values[2, y, x]
             d[k] += values[3, y, x]
-
-
-def as_dark_as_near(image: Image, expected: Floats, patch: Mask, window: int, limit: float) -> Mask:
-    """Return (ceil(h / 2), ceil(w / 2)) uint8: 255 where every second pixel is as dark as the patch near it.
-
-    patch (h, w) : not 0 where shadow was found, near : within ``window`` such pixels. limit : grey levels by which a
-    pixel differs at most from the background, made as dark as the patch is near it.
-    """
-    own, seen, there = patch[::2, ::2] > 0, image[::2, ::2], expected[::2, ::2]
-    X, M = (_mean_around(np.where(own, each, np.float32(0)), window) for each in (seen, there))
-    off = X / np.maximum(M, np.float32(1e-3)) * there - seen
-    return np.where(np.abs(off) <= limit, np.uint8(255), np.uint8(0))
-
-
-def _mean_around(values: Image | Floats, window: int) -> Floats:
-    return np.asarray(cv2.boxFilter(values, cv2.CV_32F, (window, window)))
