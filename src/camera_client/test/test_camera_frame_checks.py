@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camera_client.sources.frame_checks import DARK, FROZEN, LIGHTS, REMEDIES, SATURATED, FrameChecks, grid_sample
+from camera_client.sources.frame_checks import DARK, FROZEN, LIGHTS, SATURATED, FrameChecks, grid_sample
 
 PERIOD_NS = 20_000_000
 
@@ -32,11 +32,7 @@ def test_lens_cap_is_dark_and_only_dark(scene, checks):
     rng = np.random.default_rng(0)
     black = rng.integers(0, 6, scene.empty(1, colour=checks.colour)[0].shape, dtype=np.uint8)
     assert all(checks.check(black, k * PERIOD_NS) == (DARK,) for k in range(100))
-
-
-def test_black_image_is_dark_unless_the_scene_was_learned_black():
-    assert FrameChecks().check(np.zeros((480, 640), np.uint8), 0) == (DARK,)
-    assert FrameChecks(np.full((120, 160), 8.0)).check(np.full((120, 160), 8, np.uint8), 0) == ()
+    assert FrameChecks(black.astype(float)).check(black, 0) == ()  # unless the scene was learned black
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.7, 1.4])
@@ -89,11 +85,6 @@ def test_repeated_frame_over_a_jump_of_the_clock_is_not_frozen(scene, checks):
 def test_footage_that_repeats_a_picture_is_not_frozen(scene):
     checks = FrameChecks(may_repeat=True)
     assert {checks.check(scene.empty(1)[0], k * PERIOD_NS) for k in range(200)} == {()}
-
-
-def test_every_flag_has_a_remedy():
-    assert set(REMEDIES) == {DARK, LIGHTS, FROZEN, SATURATED}
-    assert all(": " in text for text in REMEDIES.values())
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (1200, 1600), (7, 9)])
