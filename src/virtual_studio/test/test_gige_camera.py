@@ -59,15 +59,6 @@ class Imaging:
         return self.pipeline.capture(picture)
 
 
-def test_region_and_binning_cut_and_average_the_sensor():
-    picture = np.random.default_rng(3).integers(0, 256, (64, 96)).astype(np.uint8)
-    camera = Imaging(96, 64)
-    region = {"OffsetX": 8, "OffsetY": 10, "Width": 32, "Height": 20}
-    np.testing.assert_array_equal(camera.of(picture, **region), picture[10:30, 8:40])
-    binned = Imaging(96, 64).of(picture, BinningHorizontal=2, BinningVertical=2)
-    assert np.abs(binned - picture.reshape(32, 2, 48, 2).mean(axis=(1, 3))).max() <= 0.5
-
-
 def test_exposure_gain_and_light_change_the_brightness_by_their_factors():
     camera, scene = Imaging(64, 64), np.full((64, 64), 50, np.uint8)
     for values, level in (({}, 50), ({"ExposureTime": 8000.0}, 100), ({"Gain": 20 * np.log10(2.0)}, 200)):

@@ -48,7 +48,11 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str, h
         features.ensure(name, "Off", "aravis.features")
     pixel_format = standard_name(_set_format(features, settings, channels))
     _set_region(features, settings)
-    _set_exposure(features, settings)
+    if settings.exposure_us >= 0:
+        features.ensure("ExposureMode", "Timed", "aravis.exposure_us")
+        features.set("ExposureTime", settings.exposure_us, "aravis.exposure_us")
+    if settings.gain >= 0:
+        features.set("Gain", settings.gain, "aravis.gain")
     _set_rate(features, settings)
     if settings.packet_size:
         features.set("GevSCPSPacketSize", settings.packet_size, "aravis.packet_size")
@@ -100,14 +104,6 @@ def _set_region(features: Features, settings: AravisSettings) -> None:
         left = largest - _integer(features, size)
         if features.find(offset) is not None and (wanted_offset > 0 or left > 0):
             features.set(offset, left // 2 if wanted_offset < 0 else wanted_offset, key)
-
-
-def _set_exposure(features: Features, settings: AravisSettings) -> None:
-    if settings.exposure_us >= 0:
-        features.ensure("ExposureMode", "Timed", "aravis.exposure_us")
-        features.set("ExposureTime", settings.exposure_us, "aravis.exposure_us")
-    if settings.gain >= 0:
-        features.set("Gain", settings.gain, "aravis.gain")
 
 
 def _set_rate(features: Features, settings: AravisSettings) -> None:

@@ -49,7 +49,6 @@ class AravisFeatures:
 
     def __init__(self, device: Any, Aravis: Any, GLib: Any) -> None:
         self._device, self._Aravis, self._GLib = device, Aravis, GLib
-        self._kinds: dict[str, Kind | None] = {}
         self._types = (
             (Aravis.GcCommand, Kind.COMMAND),
             (Aravis.GcBoolean, Kind.BOOLEAN),
@@ -61,11 +60,9 @@ class AravisFeatures:
 
     def kind(self, name: str) -> Kind | None:
         """Return what a feature holds; None for one that the device does not have, or not now."""
-        if name not in self._kinds:
-            node = self._device.get_feature(name)
-            self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
-        available = self._kinds[name] is not None and self._ask("is_feature_available", name)
-        return self._kinds[name] if available else None
+        node = self._device.get_feature(name)
+        kind = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
+        return kind if kind is not None and self._ask("is_feature_available", name) else None
 
     def read(self, name: str) -> Value:
         return self._ask(f"get_{self._type_of(name)}_feature_value", name)
@@ -78,8 +75,7 @@ class AravisFeatures:
 
     def limits(self, name: str) -> tuple[float, float] | None:
         """Return smallest and largest value of a number; None where the device does not describe it."""
-        bounds = self._described("get_{}_feature_bounds", name)
-        return None if bounds is None else tuple(bounds)
+        return self._described("get_{}_feature_bounds", name)
 
     def step(self, name: str) -> float | None:
         """Return the distance between the values of a number; None where the device does not describe it."""

@@ -58,7 +58,12 @@ def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callab
         _trigger_by(features, settings, settings.trigger_line)
         features.set("TriggerActivation", settings.trigger_activation, "aravis.trigger_activation")
     elif settings.sync == "action":
-        _listen_to_actions(features, settings)
+        if (selector := features.find("ActionSelector")) is not None:
+            lowest = features.access.limits(selector)
+            features.set(selector, int(lowest[0]) if lowest else 1, "aravis.sync")
+        features.set("ActionDeviceKey", settings.action_device_key, "aravis.action_device_key")
+        for name in ("ActionGroupKey", "ActionGroupMask"):
+            features.set(name, ACTION_GROUP, "aravis.sync")
         offered = features.access.choices(features.require("TriggerSource", "aravis.sync"))
         signals = sorted(name for name in offered if name.startswith("Action"))  # some cameras count from 0
         _trigger_by(features, settings, signals[0] if signals else "Action1")
@@ -106,16 +111,6 @@ def _trigger_by(features: Features, settings: AravisSettings, source: str) -> No
         features.set(selector, FRAME_TRIGGER, "aravis.sync")
     features.set("TriggerSource", source, "aravis.trigger_line" if settings.sync == "line" else "aravis.sync")
     features.set("TriggerMode", "On", "aravis.sync")
-
-
-def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
-    if (selector := features.find("ActionSelector")) is not None:
-        lowest = features.access.limits(selector)
-        features.set(selector, int(lowest[0]) if lowest else 1, "aravis.sync")
-    features.require("ActionDeviceKey", "aravis.sync")
-    features.set("ActionDeviceKey", settings.action_device_key, "aravis.action_device_key")
-    for name in ("ActionGroupKey", "ActionGroupMask"):
-        features.set(name, ACTION_GROUP, "aravis.sync")
 
 
 def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:

@@ -59,59 +59,10 @@ class SharedClock:
             self._agreed = None
 
 
-class Pace:
-    """Decides when frame k may leave: here at once. ``timeouts``: frames that left although nobody acknowledged."""
-
-    timeouts = 0
-
-    def begin(self, clock: FootageClock, frame: int) -> None:
-        """Begin, or go on, with this frame by this clock: at every start or resumption, and for another clock."""
-
-    def wait(self, frame: int, timeout_s: float) -> bool:
-        """Wait until frame k is due; False when that did not happen within ``timeout_s``."""
-        return True
-
-    def has_missed(self, frame: int) -> bool:
-        """Whether frame k is too late to be of use, and is to be left out."""
-        return False
-
-    def acknowledge(self, stamp_ns: int) -> None:
-        """Take note that every frame up to ``stamp_ns`` is processed."""
-
-
-class WallClockPace(Pace):
-    """Frame k leaves when its clock says so; what is too late to join its set is left out."""
-
-    def __init__(
-        self,
-        fps: float,
-        rate: float,
-        now_ns: Callable[[], int] = time.time_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._fps, self._rate, self._now_ns, self._sleep = fps, rate, now_ns, sleep
-        self._begin_ns = 0
-
-    def begin(self, clock: FootageClock, frame: int) -> None:
-        self._begin_ns = clock.begin_ns
-
-    def has_missed(self, frame: int) -> bool:
-        return self._due_ns(frame) < self._now_ns() - KEPT_UP_NS
-
-    def wait(self, frame: int, timeout_s: float) -> bool:
-        left_s = (self._due_ns(frame) - self._now_ns()) / 1e9
-        if left_s > 0:
-            self._sleep(min(left_s, timeout_s))
-        return left_s <= timeout_s
-
-    def _due_ns(self, frame: int) -> int:
-        return self._begin_ns + playing_ns(frame, self._fps, self._rate)
-
-
-class AcknowledgedPace(Pace):
+class AcknowledgedPace:
     """Frame k leaves once the consumers have acknowledged the stamp of frame k - window: none is ever outrun.
 
-    When no acknowledgement and no frame has moved for ``patience_s``, one frame leaves all the same, and is counted.
+    When no acknowledgement and no frame has moved for ``patience_s``, one frame leaves all the same: ``timeouts``.
     """
 
     def __init__(self, fps: float, window: int, patience_s: float, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -119,19 +70,23 @@ class AcknowledgedPace(Pace):
         self._changed = threading.Condition()
         self._acknowledged_ns = self._epoch_ns = self._first_frame = 0
         self._last_progress_s = now_s()
+        self.timeouts = 0
 
-    def begin(self, clock: FootageClock, frame: int) -> None:
+    def begin(self, epoch_ns: int, frame: int) -> None:
+        """Begin, or go on, with this frame: at every start or resumption."""
         with self._changed:
-            self._epoch_ns, self._first_frame, self._last_progress_s = clock.epoch_ns, frame, self._now_s()
+            self._epoch_ns, self._first_frame, self._last_progress_s = epoch_ns, frame, self._now_s()
             self._acknowledged_ns = 0  # forget those of an earlier playing, perhaps with another epoch
 
     def acknowledge(self, stamp_ns: int) -> None:
+        """Take note that every frame up to ``stamp_ns`` is processed."""
         with self._changed:
             if stamp_ns > self._acknowledged_ns:
                 self._acknowledged_ns, self._last_progress_s = stamp_ns, self._now_s()
                 self._changed.notify_all()
 
     def wait(self, frame: int, timeout_s: float) -> bool:
+        """Wait until frame k may leave; False when that did not happen within ``timeout_s``."""
         deadline_s = self._now_s() + timeout_s
         with self._changed:
             while not self._may_leave(frame):
@@ -153,11 +108,6 @@ class AcknowledgedPace(Pace):
         )
 
 
-def playing_ns(frame: int, fps: float, rate: float) -> int:
-    """Return how long after frame 0 frame k leaves, ns of the system clock."""
-    return round(frame * 1e9 / (fps * rate))
-
-
 class FootageSource(FrameSource):
     """Plays footage; the stamp of frame k is ``epoch + k / fps`` whatever the playing rate.
 
@@ -175,19 +125,16 @@ class FootageSource(FrameSource):
         self,
         settings: FootageSettings,
         channels: str = "auto",
-        pace: Callable[[float], Pace] | None = None,
         now_ns: Callable[[], int] = time.time_ns,
+        sleep: Callable[[float], None] = time.sleep,
         shared: SharedClock | None = None,
     ) -> None:
         """``shared`` : the clock that the source shares with other cameras'; by default it has one of its own."""
         super().__init__()
         self.description = f"footage {settings.path}"
-        self._settings, self._channels, self._now_ns = settings, channels, now_ns
+        self._settings, self._channels, self._now_ns, self._sleep = settings, channels, now_ns, sleep
         self._shared = shared or SharedClock()
-        rate = settings.rate
-        self._make_pace: Callable[[float], Pace] = pace or (
-            lambda fps: WallClockPace(fps, rate) if rate > 0 else AcknowledgedPace(fps, WINDOW, PATIENCE_S)
-        )
+        self._pace: AcknowledgedPace | None = None  # at rate 0
         self._reader: FootageReader | None = None
         self._images: deque[Future[Image | None]] = deque()  # being decoded, or in store; None after the last
         self._frame, self._clock = 0, FootageClock(0, 0)
@@ -212,7 +159,8 @@ class FootageSource(FrameSource):
         except InputError:
             self.close()
             raise
-        self._pace = self._make_pace(self.fps)
+        if self._settings.rate == 0:
+            self._pace = AcknowledgedPace(self.fps, WINDOW, PATIENCE_S)
 
     def start(self) -> None:
         if self._started:
@@ -221,9 +169,10 @@ class FootageSource(FrameSource):
         if self._ended:
             self._begin_playing(self._reader)
         self._started = True
-        self._clock = self._next_clock()
-        self._pace.begin(self._clock, self._frame)
-        self._follow_shared_clock()
+        if self._pace is not None:
+            self._pace.begin(self._clock.epoch_ns, self._frame)
+        else:
+            self._clock = self._shared.offer(self._next_clock())
 
     def read(self, timeout_s: float) -> Frame | None:
         if self._ended:
@@ -245,16 +194,23 @@ class FootageSource(FrameSource):
         if image is None:
             self._ended = True
             raise EndOfFootage
-        self._follow_shared_clock()
-        if self._pace.has_missed(self._frame):
-            self.count("left_out")
-            self._pass_frame()
-            return None
-        if not self._pace.wait(self._frame, max(deadline_s - time.monotonic(), 0.0)):
-            return None
+        left_s = max(deadline_s - time.monotonic(), 0.0)
+        if self._pace is not None:
+            if not self._pace.wait(self._frame, left_s):
+                return None
+            self.counters["pace_timeouts"] = self._pace.timeouts
+        else:
+            self._clock = self._shared.offer(self._clock)
+            ahead_ns = self._clock.begin_ns + self._playing_ns() - self._now_ns()
+            if ahead_ns < -KEPT_UP_NS:
+                self.count("left_out")
+                self._pass_frame()
+                return None
+            self._sleep(min(max(ahead_ns * 1e-9, 0.0), left_s))
+            if ahead_ns * 1e-9 > left_s:
+                return None
         stamp_ns = footage_stamp_ns(self._clock.epoch_ns, self._frame, self.fps)
         frame = Frame(image, stamp_ns, self._frame, CLOCK)
-        self.counters["pace_timeouts"] = self._pace.timeouts
         self.statistics.add(frame.frame_id)
         self._pass_frame()
         return frame
@@ -271,7 +227,7 @@ class FootageSource(FrameSource):
             self._reader = None
 
     def acknowledge(self, stamp_ns: int) -> None:
-        if self._reader is not None:
+        if self._pace is not None:
             self._pace.acknowledge(stamp_ns)
 
     @property
@@ -291,19 +247,14 @@ class FootageSource(FrameSource):
 
     def _next_clock(self) -> FootageClock:
         """Return the clock by which the next frame leaves when it is due by the epoch, or else a second from now."""
-        epoch_ns, rate = self._clock.epoch_ns, self._settings.rate
-        played_ns = playing_ns(self._frame, self.fps, rate) if rate > 0 else 0
+        epoch_ns, played_ns = self._clock.epoch_ns, self._playing_ns()
         if self._settings.keep_up or epoch_ns + played_ns >= self._now_ns() - LATE_START_NS:
             return FootageClock(epoch_ns, epoch_ns)
         return FootageClock(self._now_ns() + LEAD_NS - played_ns, epoch_ns)
 
-    def _follow_shared_clock(self) -> None:
-        if self._settings.rate == 0:
-            return
-        clock = self._shared.offer(self._clock)
-        if clock != self._clock:
-            self._clock = clock
-            self._pace.begin(clock, self._frame)
+    def _playing_ns(self) -> int:
+        """Return how long after frame 0 the present frame leaves, ns of the system clock."""
+        return round(self._frame * 1e9 / (self.fps * self._settings.rate))
 
     def _decode_ahead(self) -> None:
         assert self._reader is not None

@@ -89,7 +89,15 @@ class SupervisedSource(FrameSource):
         elif source.lost:
             self._disconnect(ConnectionState.CONTROL_LOST, "was lost while it was suspended")
         else:
-            self._resume(source)
+            try:
+                self._start(source)
+            except SourceUnavailable as error:
+                self._disconnect(ConnectionState.STALLED, str(error))
+            except Exception:
+                self._running = False
+                raise
+            else:
+                self._silent_s, self._state = 0.0, ConnectionState.STREAMING
 
     def read(self, timeout_s: float) -> Frame | None:
         if self._source is not None:
@@ -255,19 +263,6 @@ class SupervisedSource(FrameSource):
             self._release(after=starting)
             raise SourceUnavailable("does not answer when it is started", where=self.description)
         starting.result()
-
-    def _resume(self, source: FrameSource) -> None:
-        """Start a connection that was suspended, and may have died meanwhile."""
-        try:
-            self._start(source)
-        except SourceUnavailable as error:
-            self._disconnect(ConnectionState.STALLED, str(error))
-        except Exception:
-            self._running = False
-            raise
-        else:
-            self._silent_s = 0.0
-            self._state = ConnectionState.STREAMING
 
 
 def _text_of(error: Exception) -> str:

@@ -1,22 +1,12 @@
 """A studio of simulated GigE Vision cameras on loopback: they speak the real protocol to any GenICam client."""
 
-from .acquisition import TriggerWire
-from .camera import SimulatedCamera
-from .device import CameraSettings, Faults, free_address
-from .loop import EventLoop
-from .scenes import CameraScene, PatternScene, Playback
-from .studio import Studio, StudioSettings
-
-__all__ = [
-    "CameraScene",
-    "CameraSettings",
-    "EventLoop",
-    "Faults",
-    "PatternScene",
-    "Playback",
-    "SimulatedCamera",
-    "Studio",
-    "StudioSettings",
-    "TriggerWire",
-    "free_address",
-]
+from .acquisition import TriggerWire as TriggerWire
+from .camera import SimulatedCamera as SimulatedCamera
+from .device import CameraSettings as CameraSettings
+from .device import Faults as Faults
+from .device import free_address as free_address
+from .loop import EventLoop as EventLoop
+from .scenes import PatternScene as PatternScene
+from .scenes import Playback as Playback
+from .studio import Studio as Studio
+from .studio import StudioSettings as StudioSettings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 import textwrap
@@ -72,11 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def speed_argument(text: str) -> float:
     """Parses a speed, a number or a fraction such as 1/4, for argparse."""
-    part, bar, whole = text.partition("/")
-    try:
-        return _SPEED(repr(int(part) / int(whole)) if bar else text)
-    except (ValueError, ArithmeticError):
-        return _SPEED(text)  # which says what is wrong
+    with contextlib.suppress(ValueError, ArithmeticError):
+        text = repr(float(Fraction(text)))
+    return _SPEED(text)  # which says what is wrong
 
 
 def run(args: argparse.Namespace) -> int:

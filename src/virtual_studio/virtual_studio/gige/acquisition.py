@@ -20,6 +20,7 @@ from .device import CameraSettings, Device, Faults
 from .feature_table import PTP_STATES
 from .imaging import ImagingPipeline, pixel_bytes
 from .loop import EventLoop, Timer
+from .registers import RegisterError
 from .scenes import CameraScene
 from .stream import StreamChannel
 
@@ -147,22 +148,22 @@ class Acquisition:
         self._counters["triggers"] += 1
         self._expose_at(start_ns)
 
-    def execute_action(self, action: Action) -> Status | None:
-        """Triggers at the time of an action command; None when it is meant for other cameras."""
+    def execute_action(self, action: Action) -> bool:
+        """Triggers at the time of an action command; False when it is meant for other cameras. Raises RegisterError."""
         r = self._registers
         if action.device_key != r.integer("ActionDeviceKey") or action.group_key != r.integer("ActionGroupKey"):
-            return None
+            return False
         if not action.group_mask & r.integer("ActionGroupMask"):
-            return None
+            return False
         self._counters["actions"] += 1
         if not self._clock.is_synchronised:
-            return Status.NO_REFERENCE_TIME
+            raise RegisterError(Status.NO_REFERENCE_TIME)
         when_ns = self._clock.utc_of(action.time_ns)
         if when_ns < self._now_ns():
             self._counters["actions_late"] += 1
-            return Status.ACTION_LATE
+            raise RegisterError(Status.ACTION_LATE)
         self._timers.append(self._loop.call_at(when_ns, lambda: self.trigger("Action1", when_ns)))
-        return Status.SUCCESS
+        return True
 
     def _rearm(self) -> None:
         """Schedules the first exposure of a free-running camera; a triggered one waits."""

@@ -140,7 +140,7 @@ class _PoweredCamera:
         self.stream = StreamChannel(device)
         self.acquisition = Acquisition(device, camera.scene, clock, ImagingPipeline(device), self.stream)
         try:
-            self.server = GvcpServer(device, self.acquisition.stop, self.stream.resend, self.acquisition.execute_action)
+            self.server = GvcpServer(device, self.acquisition, self.stream)
         except InputError:
             self.stream.close()
             raise

@@ -13,7 +13,6 @@ from gige_vision.gvsp import PixelFormat
 from .device import CameraSettings
 from .registers import MODEL, VENDOR, Feature, boolean, choice, command, hidden, integer, placed, real, text
 
-MONO_FORMATS, COLOUR_FORMATS = ("Mono8", "Mono12"), ("BayerRG8", "RGB8")
 TICKS_PER_SECOND = 1_000_000_000
 WORD = 0xFFFF_FFFF
 PTP_STATES = {
@@ -43,7 +42,7 @@ def feature_table(settings: CameraSettings, address: str, width: int, height: in
     Raises InputError for a pixel format that such a camera does not offer.
     """
     s, ip = settings, int(ipaddress.IPv4Address(address))
-    formats = (*COLOUR_FORMATS, *MONO_FORMATS) if colour else MONO_FORMATS
+    formats = ("BayerRG8", "Mono8") if colour else ("Mono8",)
     if s.pixel_format not in ("auto", *formats):
         remedy = f"Choose one of auto, {', '.join(formats)}."
         raise InputError(f"pixel_format = {s.pixel_format!r} is not offered", where=f"camera {address}", remedy=remedy)

@@ -6,7 +6,6 @@ import errno
 import ipaddress
 import socket
 import time
-from collections.abc import Callable
 
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
@@ -28,9 +27,11 @@ from gige_vision.gvcp import (
     encode_words,
 )
 
+from .acquisition import Acquisition
 from .device import Device
 from .loop import Timer
 from .registers import RegisterError
+from .stream import StreamChannel
 
 Peer = tuple[str, int]
 LARGEST_COMMAND = 2048
@@ -39,19 +40,13 @@ LARGEST_COMMAND = 2048
 class GvcpServer:
     """Serves one camera's control channel on its address, port 3956. Raises InputError if the address is not free.
 
-    ``owner`` is the application that has control: the first that asked, until it lets go or its heartbeat stops;
-    ``on_release`` is called whenever the control becomes free.
+    ``owner`` is the application that has control: the first that asked, until it lets go or its heartbeat stops; then
+    the acquisition ends.
     """
 
-    def __init__(
-        self,
-        device: Device,
-        on_release: Callable[[], None],
-        on_resend: Callable[[int, int, int], None],
-        on_action: Callable[[Action], Status | None],
-    ) -> None:
+    def __init__(self, device: Device, acquisition: Acquisition, stream: StreamChannel) -> None:
         self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
-        self._loop, self._on_release, self._on_resend, self._on_action = device.loop, on_release, on_resend, on_action
+        self._loop, self._acquisition, self._stream = device.loop, acquisition, stream
         self._socket = _bound(device.address)
         self._loop.add_reader(self._socket, self._receive)
         device.registers.writes["GevHeartbeatTimeout"] = self._watch
@@ -86,7 +81,7 @@ class GvcpServer:
             self._timer = None
         for key in ("ControlPrivilege", "PrimaryPort", "PrimaryAddress", "GevSCPHostPort", "GevSCDA"):
             self._registers[key] = 0
-        self._on_release()
+        self._acquisition.stop()
 
     def _watch(self) -> None:
         if self._timer is not None:
@@ -120,7 +115,7 @@ class GvcpServer:
         if packet.command == Command.PACKET_RESEND:
             # stream receivers ask from a socket of their own, on the owner's machine
             if self.owner is not None and self.owner[0] == peer[0]:
-                self._on_resend(*decode_resend(packet.payload))
+                self._stream.resend(*decode_resend(packet.payload))
             return
         answer = self._answer(packet, peer)
         if answer is not None and packet.wants_answer:
@@ -130,13 +125,10 @@ class GvcpServer:
         """Return the answer to a command; None for an action that is meant for other cameras."""
         status, payload = Status.SUCCESS, b""
         try:
-            if packet.command == Command.ACTION:
-                acted = self._on_action(Action.decode(packet))
-                if acted is None:
-                    return None
-                status = acted
-            else:
+            if packet.command != Command.ACTION:
                 payload = self._payload(packet, peer)
+            elif not self._acquisition.execute_action(Action.decode(packet)):
+                return None
         except RegisterError as error:
             status = error.status
         return AcknowledgePacket(packet.command + 1, payload, packet.request_id, status)

@@ -117,20 +117,10 @@ class ImagingPipeline:
 
 
 def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
-    """Encodes a picture, (H, W) grey or (H, W, 3) BGR, in a format that the cameras offer: bytes (n,).
-
-    12 bits repeat the upper bits below, so that black stays black and white white. Of a coloured picture mono formats
-    give the grey of BT.601.
-    """
+    """Encodes a picture, (H, W) grey or (H, W, 3) BGR, as Mono8 (the grey of BT.601) or BayerRG8: bytes (n,)."""
     if pixel_format is PixelFormat.BayerRG8:
-        mosaic = np.empty(image.shape[:2], np.uint8)
-        for (y, x), colour in {(0, 0): 2, (0, 1): 1, (1, 0): 1, (1, 1): 0}.items():
-            mosaic[y::2, x::2] = image[y::2, x::2, colour]
+        mosaic = image[..., 1].copy()
+        mosaic[::2, ::2], mosaic[1::2, 1::2] = image[::2, ::2, 2], image[1::2, 1::2, 0]
         return mosaic.reshape(-1)
-    if pixel_format is PixelFormat.RGB8:
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8).reshape(-1)
     grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    if pixel_format is PixelFormat.Mono8:
-        return np.ascontiguousarray(grey).reshape(-1)
-    wide = grey.reshape(-1).astype("<u2")
-    return (wide << 4 | wide >> 4).view(np.uint8)
+    return np.ascontiguousarray(grey).reshape(-1)

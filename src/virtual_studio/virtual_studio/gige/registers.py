@@ -9,9 +9,8 @@ import dataclasses
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import Enum
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 from xml.sax.saxutils import escape
 
 from gige_vision.gvcp import Status, decode_text, encode_text
@@ -24,15 +23,8 @@ FILE_SPACE = 0x8_0000
 """Where the GenICam description lies."""
 
 
-class Kind(Enum):
-    """What a feature looks like to a client; registers hold big-endian integers, doubles or texts."""
-
-    INTEGER = "Integer"
-    FLOAT = "Float"
-    ENUMERATION = "Enumeration"
-    BOOLEAN = "Boolean"
-    COMMAND = "Command"
-    STRING = "String"
+Kind = Literal["Integer", "Float", "Enumeration", "Boolean", "Command", "String"]
+"""What a feature looks like to a client, a node's tag; registers hold big-endian integers, doubles or texts."""
 
 
 @dataclass(frozen=True)
@@ -76,23 +68,23 @@ def placed(features: list[Feature]) -> tuple[Feature, ...]:
     return tuple(found)
 
 
-integer, boolean, command = (partial(Feature, kind) for kind in (Kind.INTEGER, Kind.BOOLEAN, Kind.COMMAND))
-real = partial(Feature, Kind.FLOAT, length=8)
+integer, boolean, command = (partial(Feature, kind) for kind in ("Integer", "Boolean", "Command"))
+real = partial(Feature, "Float", length=8)
 
 
 def text(name: str, default: str, length: int, address: int, writable: bool = True) -> Feature:
-    return Feature(Kind.STRING, name, default, address, length, writable)
+    return Feature("String", name, default, address, length, writable)
 
 
 def choice(name: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
     """Return an enumeration; its default is the first entry unless named."""
     value = entries[default or next(iter(entries))]
-    return Feature(Kind.ENUMERATION, name, value, entries=tuple(entries.items()), **more)
+    return Feature("Enumeration", name, value, entries=tuple(entries.items()), **more)
 
 
 def hidden(name: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
     """Return a register of the standard that no GenICam feature names."""
-    kind = Kind.STRING if isinstance(default, str) else Kind.INTEGER
+    kind: Kind = "String" if isinstance(default, str) else "Integer"
     return Feature(kind, name, default, address, length, writable)
 
 
@@ -178,7 +170,7 @@ class Registers:
         return _encode(feature, self._values[feature.name])[address - feature.address :][:4]
 
     def _check_limits(self, feature: Feature, value: Value) -> None:
-        if feature.kind is Kind.ENUMERATION and value not in dict(feature.entries).values():
+        if feature.kind == "Enumeration" and value not in dict(feature.entries).values():
             raise RegisterError(Status.INVALID_PARAMETER)
         if isinstance(value, str):
             return
@@ -189,20 +181,20 @@ class Registers:
 
 
 def _encode(feature: Feature, value: Value) -> bytes:
-    if feature.kind is Kind.STRING:
+    if feature.kind == "String":
         return encode_text(str(value), feature.length)
-    if feature.kind is Kind.FLOAT:
+    if feature.kind == "Float":
         return struct.pack(">d", value)
     return (int(value) % (1 << 8 * feature.length)).to_bytes(feature.length, "big")
 
 
 def _decode(feature: Feature, data: bytes) -> Value:
-    if feature.kind is Kind.STRING:
+    if feature.kind == "String":
         try:
             return decode_text(data)
         except ValueError:
             raise RegisterError(Status.INVALID_PARAMETER) from None
-    if feature.kind is Kind.FLOAT:
+    if feature.kind == "Float":
         return struct.unpack(">d", data)[0]
     return int.from_bytes(data, "big")
 
@@ -242,14 +234,14 @@ def _nodes(feature: Feature) -> str:
     """Return the node of a feature and, but for texts, that of its register."""
     where = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
     where += f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode><pPort>{PORT}</pPort>"
-    if feature.kind is Kind.STRING:
+    if feature.kind == "String":
         return _element("StringReg", feature.name, where)
     value = f"<pValue>{feature.name}Reg</pValue>"
-    if feature.kind is Kind.ENUMERATION:
+    if feature.kind == "Enumeration":
         value = "".join(_element("EnumEntry", n, f"<Value>{v}</Value>") for n, v in feature.entries) + value
-    elif feature.kind is Kind.COMMAND:
+    elif feature.kind == "Command":
         value += "<CommandValue>1</CommandValue>"
-    elif feature.kind is Kind.BOOLEAN:
+    elif feature.kind == "Boolean":
         value += "<OnValue>1</OnValue><OffValue>0</OffValue>"
     else:
         numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
@@ -261,10 +253,10 @@ def _nodes(feature: Feature) -> str:
         tag, (first, last) = "MaskedIntReg", (31 - bit for bit in feature.bits)  # bit 0 is the highest
         register += f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
     else:
-        tag = "FloatReg" if feature.kind is Kind.FLOAT else "IntReg"
-    register += "" if feature.kind is Kind.FLOAT else "<Sign>Unsigned</Sign>"
+        tag = "FloatReg" if feature.kind == "Float" else "IntReg"
+    register += "" if feature.kind == "Float" else "<Sign>Unsigned</Sign>"
     register += "<Endianess>BigEndian</Endianess>"
-    return _element(feature.kind.value, feature.name, value) + _element(tag, f"{feature.name}Reg", register)
+    return _element(feature.kind, feature.name, value) + _element(tag, f"{feature.name}Reg", register)
 
 
 def _element(tag: str, name: str, body: str) -> str:

@@ -5,8 +5,8 @@ One thread renders for all cameras; what it renders depends on the scene, when o
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
@@ -45,7 +45,7 @@ class RenderedSet(NamedTuple):
 class RoomScene(StudioScene):
     """A person who moves in the room, rendered live for all cameras of a rig while they look.
 
-    One thread renders the room for the last instant at which a camera looked. It is rarely as fast as they are: a
+    A thread of its own renders the room for an instant at which a camera looked. It is rarely as fast as they are: a
     camera that looks meanwhile sees the newest picture once more, and so do the others that look at that instant.
     """
 
@@ -70,9 +70,8 @@ class RoomScene(StudioScene):
         self._shortest_ns = round(1e9 / most_hz)
         self._asked_ns = 0  # the last instant that cameras asked for
         self._newest = self._chosen = RenderedSet(0, {})  # of which the latter is seen at that instant
-        self._condition = threading.Condition()
-        self._running = False
-        self._thread = threading.Thread(target=self._run, name="room", daemon=True)
+        self._renderer = ThreadPoolExecutor(1, "room")
+        self._rendering = Future[RenderedSet]()
 
     def render(self, instant_ns: int) -> Mapping[str, Image]:
         """Renders what each camera sees at an instant while the room is occupied."""
@@ -81,43 +80,29 @@ class RoomScene(StudioScene):
         return {name: _picture(camera.render(capsules, shadow)[0]) for name, camera in self._cameras.items()}
 
     def start(self) -> None:
-        """Renders the first set, then goes on in a thread."""
-        now_ns = self.playback.clock.now_ns()
-        self._newest = RenderedSet(now_ns, self.render(now_ns))
-        self._running = True
-        self._thread.start()
+        """Renders the first set."""
+        self._rendering = self._renderer.submit(self._render_set, self.playback.clock.now_ns())
+        self._rendering.result()
 
     def close(self) -> None:
-        with self._condition:
-            self._running = False
-            self._condition.notify()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._renderer.shutdown()
 
     def empty(self, name: str) -> Image:
         """Returns one camera's picture of the empty room."""
         return self._empty[name]
 
     def seen_at(self, instant_ns: int) -> RenderedSet:
-        """Returns the set that is seen at an instant; also tells the renderer that a camera looks."""
-        with self._condition:
-            if instant_ns > self._asked_ns:
-                self._asked_ns, self._chosen = instant_ns, self._newest
-                self._condition.notify()
-            return self._chosen
+        """Returns the set that is seen at an instant, and has one rendered for it where the newest is old."""
+        if instant_ns > self._asked_ns:
+            if self._rendering.done():
+                self._newest = self._rendering.result()
+                if instant_ns - self._newest.instant_ns >= self._shortest_ns:
+                    self._rendering = self._renderer.submit(self._render_set, instant_ns)
+            self._asked_ns, self._chosen = instant_ns, self._newest
+        return self._chosen
 
-    def _run(self) -> None:
-        while True:
-            with self._condition:
-                self._condition.wait_for(
-                    lambda: not self._running or self._asked_ns - self._newest.instant_ns >= self._shortest_ns
-                )
-                if not self._running:
-                    return
-                instant_ns = self._asked_ns
-            rendered = RenderedSet(instant_ns, self.render(instant_ns))
-            with self._condition:
-                self._newest = rendered
+    def _render_set(self, instant_ns: int) -> RenderedSet:
+        return RenderedSet(instant_ns, self.render(instant_ns))
 
 
 class LiveView:

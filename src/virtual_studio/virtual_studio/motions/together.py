@@ -73,7 +73,6 @@ class Role:
     heading: float = 0.0
 
     def motion(self, person: VolumetricBody, seconds: float, fps: float) -> Motion:
-        """Return the person's motion in the world."""
         motion = motion_by_steps(person, seconds, fps, self.activities(person), (0.0, 0.0))
         R, start = rotation_matrix(np.array([0.0, 0.0, self.heading])), np.array([*self.start_xy, 0.0])
         poses = (
