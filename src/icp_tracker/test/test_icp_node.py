@@ -117,7 +117,7 @@ def walk(body, tmp_path):
 
 def test_camera_that_was_moved_is_named_in_the_diagnostics_until_it_is_put_back(bench, walk):
     node = bench(**walk.parameters, stale_after_s=0.0).start().node
-    why = "cam02 shows people 12 mm beside where the other cameras do"
+    why = "cam02: people 12 mm beside where other cameras show them"
     moved = ExtrinsicErrors({"cam01": 0.001, "cam02": 0.0123}, {"cam02": why})
     (fit,) = node._tracker.step(HullProducts.of_points(stamp(0), walk.clouds[0], 0.005), {})
     for errors, level, suspects in (
