@@ -198,16 +198,6 @@ def test_damaged_hull_is_counted_and_the_graph_goes_on(bench, walk):
     assert node.answer(hull(walk.clouds[3], 3)).visible.all() and len(node.points) == 2
 
 
-def test_stamp_that_goes_back_is_dropped_and_counted(bench, walk):
-    node = bench(**walk.parameters).start()
-    node.answer(hull(walk.clouds[5], 5))
-    node.hulls.publish(hull(walk.clouds[4], 4))
-    node.hulls.publish(hull(walk.clouds[5], 5))
-    answer = node.answer(hull(walk.clouds[6], 6))
-    assert answer.stamp_ns == stamp(6)
-    assert node.node.health.counter("backward_stamps") == 2
-
-
 def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, walk, capfd):
     """A bag played twice, footage that starts again, a clock that was set back."""
     node = bench(**{**walk.parameters, "prediction_wait_s": 0.0}).start()

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_packets.hull import REACH_M, HullProducts
+from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import SLACK_M, match_rays
 from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
@@ -24,6 +24,7 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import POINT_GATE_M, ray_arrays
 
+REACH_M = 0.35  # body surface and half a limb: a skeleton that is farther from a person is another's
 NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
 OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
 PART_SHARE = 0.08  # of a part's points: fewer are a neighbour's hand (four persons in one wide hull explain 0.15 each)

@@ -119,9 +119,9 @@ class PeopleTracker:
         has_keypoints = len(keypoints.score) > 0
         expected = [] if is_alone and not has_keypoints else self._expected(seen.stamp_ns, predictions)
         self._keypoints = associate_skeletons(keypoints, expected) if has_keypoints else {}
-        if is_alone:
-            return (self._step_alone(seen, predictions.get(FIRST_PERSON)),)
         seen, dropped = seen.finite()
+        if is_alone:
+            return (replace(self._step_alone(seen, predictions.get(FIRST_PERSON)), dropped_points=dropped),)
         association = associate_parts(seen, parts, expected)
         there = [one for one in expected if one.person in association.parts]
         free = [part for part in parts if part not in association.claimed]
