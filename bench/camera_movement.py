@@ -8,7 +8,7 @@ Each camera of the studio in turn films a walking person from where it stands, a
 moved to. Every frame goes through the camera client's chain, so that moved backgrounds become foreground. Columns:
 
 picture : drills in which the camera client named itself, of all; median and worst seconds from the movement.
-bodies : in which the tracker named the camera ("shows people 12 mm beside ..."), by exact silhouettes, as with a
+bodies : in which the tracker named the camera ("people 12 mm beside ..."), by exact silhouettes, as with a
     background learned since; dashes where the hull server had left it out before.
 left out : in which that camera was left out, or suspected, because it contradicts the others, by what the chain makes
     of the moved camera's picture.

@@ -182,6 +182,7 @@ def test_absent_driver_is_awaited_and_named(bench, session, scene, driver):
         ("", r"topic\.name: is empty"),
         ("image_raw", f"{NAMESPACE}/image_raw is in the namespace.*__ns:=/driver{NAMESPACE}"),
     ],
+    ids=["no name", "another namespace"],
 )
 def test_topic_that_cannot_be_the_drivers_is_refused_with_the_remedy(source, name, said):
     with pytest.raises(InputError, match=said):

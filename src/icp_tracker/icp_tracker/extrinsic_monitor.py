@@ -155,22 +155,15 @@ class ExtrinsicMonitor:
             return ExtrinsicErrors(shift_m)
         if len(names) < ENOUGH_CAMERAS:
             alike = [camera for camera in shift_m if shift_m[camera] >= NEXT_OF_FEW * shift_m[worst]]
-            return ExtrinsicErrors(shift_m, dict.fromkeys(alike, _which_of(alike, shift_m[worst])))
+            return ExtrinsicErrors(shift_m, dict.fromkeys(alike, _moved_text(", ".join(alike), shift_m[worst])))
         moved = [c for c in shift_m if shift_m[c] > limits_m[c] and shift_m[c] >= NEXT_WORST * shift_m[worst]]
-        return ExtrinsicErrors(shift_m, {camera: _was_it_moved(camera, shift_m[camera]) for camera in moved})
+        return ExtrinsicErrors(shift_m, {camera: _moved_text(camera, shift_m[camera]) for camera in moved})
 
 
-def _was_it_moved(camera: str, shift_m: float) -> str:
+def _moved_text(cameras: str, shift_m: float) -> str:
     return (
-        f"{camera} shows people {1e3 * shift_m:.0f} mm beside where the other cameras do: was it moved since it was "
-        "calibrated? Put it back, or calibrate it again"
-    )
-
-
-def _which_of(cameras: list[str], shift_m: float) -> str:
-    return (
-        f"{', '.join(cameras)} show people {1e3 * shift_m:.0f} mm beside each other: was one of them moved since it "
-        "was calibrated? Put it back, or calibrate again"
+        f"{cameras}: people {1e3 * shift_m:.0f} mm beside where other cameras show them. Moved since the calibration? "
+        "Put it back, or calibrate again"
     )
 
 

@@ -122,19 +122,15 @@ class IcpTracker:
         return self._settings.method == "articulated"
 
     def step(self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True) -> Fit:
-        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too."""
-        seen, dropped = seen.finite()
+        """Fit one frame set of one body, all of it finite; ``learn`` the body's sizes from this set, too."""
         self._matched = None
         if self._body is None or self._pose is None:
-            fit = self._acquire(seen)
-        else:
-            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
-        return replace(fit, dropped_points=dropped) if dropped else fit
+            return self._acquire(seen)
+        return self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
 
     def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
         start, started_from = self._start(body, pose, seen.stamp_ns, prediction)
-        seen = seen.of_body_at(forward(body, start))
         if reason := too_few_points(seen):
             self._pose = start
             self._monitor.mark_lost()
@@ -237,7 +233,6 @@ class IcpTracker:
         found = self._source.find_pose(seen)
         if found.pose is None or found.body is None:
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, found.reason)
-        seen = seen.of_body_at(forward(found.body, found.pose))
         if reason := too_few_points(seen):
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         fit = self._solve(found.body, found.pose, self._data(seen), FIRST_ITERATIONS)

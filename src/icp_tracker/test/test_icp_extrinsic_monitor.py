@@ -74,7 +74,7 @@ def test_camera_that_moved_is_named_with_the_shift_that_it_shows(turn_deg, push_
     shown = body_at(rig, (0, 0, 0), 1, {2: (turn_deg, push_m, 0.0)}).match.distance[2 * RAYS : 3 * RAYS]
     expected_m = np.sqrt(np.mean(shown**2) - NOISE_M**2) / (1 - 1 / 6)
     assert errors.shift_m["cam03"] == pytest.approx(expected_m, rel=0.25)
-    assert "cam03 shows people" in errors.suspects["cam03"] and "calibrate it again" in errors.suspects["cam03"]
+    assert errors.suspects["cam03"].startswith("cam03: people") and "calibrate again" in errors.suspects["cam03"]
 
 
 def test_sound_cameras_show_no_shift_however_the_surface_and_the_silhouettes_err():
@@ -105,7 +105,7 @@ def test_three_cameras_do_not_tell_which_of_them_moved():
     errors = watched(ExtrinsicMonitor(rig), rig, {0: third[0], 2: third[1]})
     assert list(errors.suspects) == ["cam01", "cam03"]
     (text,) = set(errors.suspects.values())
-    assert "cam01, cam03 show people" in text and "was one of them moved" in text
+    assert text.startswith("cam01, cam03: people")
 
 
 def test_two_cameras_and_a_monitor_that_is_off_say_nothing():

@@ -10,16 +10,9 @@ import pytest
 from poses import angles_with
 from t_pose_studio import DOWN, SET_NS, Studio, box, person, standing, studio
 
-from capture_rig import load_session
-from hull_server.hull_pipeline import HullPipeline
-from hull_server.settings import HullSettings
 from icp_tracker.acquisition import truncation
 from icp_tracker.acquisition.hull_source import HullSource, MotionSettings, TPoseSettings
-from icp_tracker.acquisition.pose_hypothesis import STEP_M
-from icp_tracker.tracker import IcpTracker
-from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
-from mocap_pipeline.session_footage import exact_silhouettes
 from stick_figure.body import Body
 from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import forward
@@ -160,24 +153,6 @@ def test_walking_with_arms_stretched_out_is_refused_until_it_ends(held):
 HELD_SETS = 6  # of the T-pose with which every session begins
 
 
-@pytest.mark.parametrize("name", ["walk_ring5top", "zombie_he3"])
-def test_t_pose_of_a_rendered_person_is_found_and_fitted(shared_data, name):
-    session = load_session(shared_data("sessions", name))
-    truth = session.truth.stick_figure_points()
-    tracker = IcpTracker(HullSource(TPoseSettings(), None))
-    pipeline, masks = HullPipeline(session.rig, HullSettings(backend="cpu")), exact_silhouettes(session)
-    stamps_ns = [1 + round(frame * 1e9 / session.fps) for frame in range(HELD_SETS)]
-    sets = [FrameSet.of_instant(stamp_ns, next(masks)) for stamp_ns in stamps_ns]
-    results = [tracker.step(pipeline.run(one).products) for one in sets]
-    assert [r.state for r in results] == ["acquiring"] * 4 + ["tracking"] * 2
-    found, expected = results[-1].reference_points_world, truth[HELD_SETS - 1]
-    error_mm = 1e3 * np.linalg.norm(found - expected, axis=1)
-    assert error_mm.mean() < 50
-    assert error_mm.max() < 100  # left is left: the heading is not turned round
-    across = [(points[3] - points[4])[:2] / np.linalg.norm((points[3] - points[4])[:2]) for points in (found, expected)]
-    assert np.degrees(np.arccos(across[0] @ across[1])) < 8
-
-
 # --- walking in ------------------------------------------------------------------------------------------------------
 
 EVERY = 4  # of a walk at 60 Hz: fifteen sets a second
@@ -225,17 +200,6 @@ def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little(
     found, number = found_in(source_of(0.5, visibility), sets)
     assert found.pose is not None and (found.body.build == build_of_girth(1.3)).all()
     assert found.pose.R_world_torso[:, 0] @ poses[number].R_world_torso[:, 0] > 0.8
-
-
-def test_slower_walk_counts_less_as_walking_forwards():
-    sets, _, visibility = walk(seconds=1.3)
-    ways = []
-    for times in (1, 6):
-        source = source_of(30.0, visibility)
-        for k, seen in enumerate(sets):
-            source.find_pose(replace(seen, stamp_ns=10**9 + k * times * EVERY * SET_NS))
-        ways.append(max(hypothesis.way for hypothesis in source._followed))
-    assert ways[0] > STEP_M / 2 and 0.0 < ways[1] < ways[0] / 3
 
 
 def test_it_must_have_watched_for_so_long_and_anew_after_a_long_gap():

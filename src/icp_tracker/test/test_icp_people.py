@@ -7,11 +7,10 @@ import pytest
 import t_pose_studio
 
 from capture_rig.visibility import RigVisibility
-from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_phantom
+from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
 from icp_tracker.settings import IcpNodeSettings
 from icp_tracker.tracker import make_tracker
-from mocap_packets.hull import HullProducts
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES
 from virtual_studio.motions.everyday import STANDING
@@ -171,13 +170,3 @@ def test_ray_that_nobody_explains_is_left_to_both(hulls):
     rays = seen.contour_rays
     lost = replace(rays, points_world=rays.points_world + np.array([0.0, 0.6, 0.0]))  # as far from either
     assert sum(len(own.contour_rays) for own in rows_of(replace(seen, contour_rays=lost)).values()) > 1.4 * len(rays)
-
-
-def test_volume_behind_a_person_whose_outline_bounds_it_in_every_picture_is_a_phantom(hulls):
-    seen = hulls["tall"]
-    behind = replace(seen.contour_rays, points_world=seen.contour_rays.points_world + seen.contour_rays.directions)
-    phantom = HullProducts(1, seen.centerline, seen.voxels, behind)
-    (part,) = seen.numbers()
-    assert is_phantom(phantom, part, [Expected(1, TALL.body, TALL_AT)])
-    assert not is_phantom(hulls["short"], hulls["short"].numbers()[0], [Expected(1, TALL.body, TALL_AT)])
-    assert not is_phantom(phantom, part, [])

@@ -147,15 +147,6 @@ def test_body_is_given_only_when_it_changed_enough_and_not_again_before_the_paus
     assert at[0] >= 20
 
 
-@pytest.mark.slow
-def test_refinement_is_done_and_costs_nothing_once_all_kept_poses_have_settled():
-    rng = np.random.default_rng(8)
-    estimate, truth = wrong_start(rng)
-    refiner, given = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng, rounds=7)
-    assert refiner.done
-    assert given[-1] is None
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.3])
 def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(turn):
     rng, turns = np.random.default_rng(10), np.zeros((COUNT, ANGLES))

@@ -8,8 +8,9 @@ import synthetic_people as synthetic
 
 from icp_tracker.acquisition.initial_pose import InitialPose, KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings
+from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
+from mocap_packets.hull import HullProducts
 from stick_figure.kinematics import forward
 
 FPS, SIGMA = 40.0, 0.034
@@ -82,15 +83,14 @@ def test_set_without_points_keeps_the_prediction_followed_for_a_tenth_of_a_secon
 
 def test_points_that_are_not_finite_are_dropped_and_counted(body, motion):
     poses, clouds = motion
-    clean, dirty = (IcpTracker(KnownPose(poses[0], body), SETTINGS) for _ in range(2))
+    clean, dirty = (PeopleTracker(lambda: IcpTracker(KnownPose(poses[0], body), SETTINGS)) for _ in range(2))
     bad = np.vstack([[np.nan, 0, 0], clouds[0], [0, np.inf, 0], [0.0, 0.0, 1.0]])
     sigma = np.zeros(len(bad))
     sigma[-1] = np.nan
-    result = dirty.step(HullProducts.of_points(stamp(0), bad, sigma))
+    (result,) = dirty.step(HullProducts.of_points(stamp(0), bad, sigma), {})
+    (expected,) = clean.step(HullProducts.of_points(stamp(0), clouds[0]), {})
     assert result.dropped_points == 3
-    assert np.array_equal(
-        result.reference_points_world, clean.step(HullProducts.of_points(stamp(0), clouds[0])).reference_points_world
-    )
+    assert np.array_equal(result.reference_points_world, expected.reference_points_world)
 
 
 def test_before_the_first_pose_the_points_are_zero_invisible_and_unknown(motion):
@@ -119,37 +119,3 @@ def test_first_pose_that_explains_nothing_is_not_believed(body, motion):
     assert tracker.step(HullProducts.of_points(stamp(1), clouds[1])).state == "tracking"
     fitted = SimpleNamespace(find_pose=lambda seen: InitialPose(poses[0], body, is_fitted=True))
     assert IcpTracker(fitted, SETTINGS).step(HullProducts.of_points(stamp(0), everywhere)).state == "tracking"
-
-
-def test_second_person_does_not_draw_the_figure_off_even_when_the_numbers_change_hands(body, motion):
-    poses, clouds = motion
-    alone, accompanied = (IcpTracker(KnownPose(poses[0], body), SETTINGS) for _ in range(2))
-    for k, cloud in enumerate(clouds[:40]):
-        other = cloud[::-1] + np.array([0.8, 0.0, 0.0])  # another body, half a metre from arm to arm
-        ours, theirs = (0, 1) if k < 20 else (1, 0)
-        numbers = np.concatenate([np.full(len(other), theirs), np.full(len(cloud), ours)])
-        both = VoxelSamples(np.concatenate([other, cloud]), np.ones(2 * len(cloud), bool), numbers)
-        line = Centerline.of_points(both.points_world, 0.01, numbers)
-        result = accompanied.step(HullProducts(stamp(k), line, both))
-        expected = alone.step(
-            HullProducts.of_points(stamp(k), cloud, 0.01, VoxelSamples(cloud, np.ones(len(cloud), bool)))
-        )
-        np.testing.assert_array_equal(result.reference_points_world, expected.reference_points_world)
-
-
-def test_first_pose_is_looked_for_on_everybody_and_fitted_to_the_body_that_shows_it(body, motion):
-    poses, clouds = motion
-
-    class OfTheSecond:
-        def find_pose(self, seen):
-            self.seen = seen
-            return InitialPose(poses[0], body)
-
-    source, cloud = OfTheSecond(), clouds[0]
-    both, numbers = np.concatenate([cloud + 2.0, cloud]), np.repeat([0, 1], len(cloud))
-    voxels = VoxelSamples(both, numbers == 0, numbers)
-    line = Centerline.of_points(both, 0.01, numbers)
-    result = IcpTracker(source, SETTINGS).step(HullProducts(0, line, voxels))
-    assert source.seen.numbers() == [0, 1]
-    assert result.state == "tracking" and result.solution.points == len(cloud)
-    assert error_mm(body, result, poses[0]) < 40

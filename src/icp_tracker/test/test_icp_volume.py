@@ -4,10 +4,8 @@ import numpy as np
 import synthetic_people as synthetic
 from poses import pose_with
 
-from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, make_data, make_weights
-from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull import HullProducts, VoxelSamples
+from mocap_packets.hull import VoxelSamples
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward, sticks
 from stick_figure.least_squares.gauss_newton import loose_hull_weight
@@ -132,12 +130,3 @@ def test_limb_that_only_the_hull_shows_is_visible(body):
     shown = synthetic.fit(body, truth, points, 0.0, hull_of(body, truth))
     assert not hidden.visible[[LEFT_ELBOW, LEFT_HAND]].any()
     assert shown.visible.all()
-
-
-def test_first_pose_shows_all_points(body):
-    truth = synthetic.t_pose()
-    points = synthetic.stick_cloud(body, truth, np.random.default_rng(8), 300, 0.01)
-    points = points[points[:, 1] < 0.25]
-    tracker = IcpTracker(KnownPose(truth, body), TrackerSettings())
-    assert tracker.step(HullProducts.of_points(1, points)).visible.all()
-    assert not tracker.step(HullProducts.of_points(2, points)).visible.all()

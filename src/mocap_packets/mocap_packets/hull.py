@@ -17,10 +17,6 @@ from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
 from .table import NO_AGES, ZEROS, Columns, Flags, Numbers, SetAges
 
-# Thresholds: judgement, no measurement.
-REACH_M = 0.35
-"""Body surface and half a limb: what is farther from all 15 reference points belongs to another person."""
-
 
 @dataclass(frozen=True, eq=False)
 class Centerline(Columns):
@@ -38,12 +34,6 @@ class Centerline(Columns):
     elongation: np.ndarray
     fill: np.ndarray
     body: Numbers
-
-    def near(self, reference_points_world: np.ndarray) -> np.ndarray:
-        """Return (n,) bool: what may belong to a person whose reference points (15, 3) are there."""
-        offsets = self.points_world[:, None] - reference_points_world
-        squared: np.ndarray = np.einsum("npk,npk->np", offsets, offsets).min(axis=1)
-        return squared < REACH_M**2
 
     @classmethod
     def of_points(
@@ -183,18 +173,6 @@ class HullProducts:
     def as_one_body(self) -> HullProducts:
         """Return the same rows, all numbered as those of body 0."""
         return self.renumbered(np.zeros_like)
-
-    def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
-        """Return the rows of the body that is expected at the reference points (15, 3).
-
-        It is the one with most points near them, not the one with the same number as before: numbers may change hands
-        when people touch.
-        """
-        line = self.centerline
-        if (line.body == line.body[:1]).all():
-            return self
-        bodies, near = np.unique(line.body), line.near(reference_points_world)
-        return self.of_body(int(bodies[np.argmax([np.count_nonzero(near & (line.body == body)) for body in bodies])]))
 
 
 def _spread(available: int, count: int) -> np.ndarray:

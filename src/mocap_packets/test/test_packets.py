@@ -48,14 +48,6 @@ def test_rows_of_one_body_leave_out_all_others():
         assert len(part) == np.count_nonzero(BODY == 1) and (part.body == 1).all()
 
 
-def test_body_is_chosen_by_where_it_is_expected_and_not_by_its_number():
-    here, there = np.zeros((10, 3)), np.full((10, 3), 2.0)
-    line = Centerline.of_points(np.concatenate([here, there]), 0.01, np.repeat([4, 7], 10))
-    hull = HullProducts(0, line)
-    assert set(hull.of_body_at(np.full((15, 3), 0.1)).centerline.body) == {4}
-    assert set(hull.of_body_at(np.full((15, 3), 1.9)).centerline.body) == {7}
-
-
 def test_points_that_are_not_finite_are_dropped_and_counted():
     points = np.zeros((4, 3))
     points[1, 2], sigma = np.nan, np.array([0.1, 0.1, np.inf, 0.1])

@@ -6,7 +6,6 @@ import yaml
 from poses import MIRRORED_POINTS, angles_with, random_pose
 
 from capture_rig.errors import InputError
-from stick_figure import trunk_bend
 from stick_figure.body import Body, load_body, save_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -154,13 +153,3 @@ def test_limbs_ends_stay_and_the_torso_is_between_neck_and_hips() -> None:
     moved = moved_m(some_pose(7))
     assert not moved[FIXED].any()
     assert moved[0] == pytest.approx(0.5 * moved[2] + 0.25 * (moved[5] + moved[6]))
-
-
-def test_a_table_of_other_columns_is_refused(tmp_path, monkeypatch) -> None:
-    other = tmp_path / "joint_centres.csv"
-    other.write_text(trunk_bend.TABLE.read_text().replace("pelvis_yaw", "pelvis_tilt"))
-    monkeypatch.setattr(trunk_bend, "TABLE", other)
-    trunk_bend.joint_centres.cache_clear()
-    with pytest.raises(ValueError, match="columns"):
-        trunk_bend.joint_centres()
-    trunk_bend.joint_centres.cache_clear()

@@ -5,11 +5,10 @@ import pytest
 from poses import angles_with, random_pose
 from scipy.spatial.transform import Rotation
 
-from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.kinematics import forward, sticks
+from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, JointMotion, Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, POINT_STICK, TANGENT_NAMES
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, TANGENT_NAMES
 
 BODY = Body.from_stature(1.75)
 
@@ -27,15 +26,6 @@ def test_retract_of_minus_leads_from_any_pose_to_any_other():
             np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_minus_of_retract_returns_small_tangents():
-    rng = np.random.default_rng(2)
-    for _ in range(300):
-        pose, tangent = random_pose(rng), rng.normal(size=24) * 0.01
-        if abs(pose.R_joints[0, 2, 2]) < 0.1:
-            continue  # a head at right angles to the neck leaves one of its two increments unseen
-        np.testing.assert_allclose(pose.retract(tangent).minus(pose), tangent, atol=1e-11)
-
-
 def test_ball_joint_increment_turns_the_limb_in_the_torso_frame():
     pose = Pose.from_angles(np.zeros(3), Rotation.from_euler("z", 0.7).as_matrix(), angles_with(left_elbow=-0.6))
     tangent = np.zeros(24)
@@ -44,16 +34,6 @@ def test_ball_joint_increment_turns_the_limb_in_the_torso_frame():
     before, after = forward(BODY, pose), forward(BODY, pose.retract(tangent))
     np.testing.assert_allclose(after[11] - after[3], expected @ (before[11] - before[3]), atol=1e-14)
     np.testing.assert_allclose(after[[0, 1, 4, 12]], before[[0, 1, 4, 12]], atol=1e-15)
-
-
-def test_rotations_stay_orthogonal_after_100000_small_steps():
-    pose = random_pose(np.random.default_rng(4))
-    arrays, step = [a.copy() for a in pose.arrays], np.random.default_rng(5).normal(size=24) * 1e-2
-    for _ in range(100_000):
-        kernels.retract(*arrays, step, 1.0)
-    for R in (arrays[1], *arrays[2]):
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
-        assert np.linalg.det(R) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("limits", ["low", "high"])
@@ -65,16 +45,6 @@ def test_angles_invert_from_angles_at_each_limit(slot, limits):
     found = pose_of(angles).angles(previous=angles)
     np.testing.assert_allclose(found, angles, atol=2e-8)
     assert (found >= ANGLE_LOW).all() and (found <= ANGLE_HIGH).all()
-
-
-def test_angles_stay_in_range_when_every_angle_is_at_a_limit():
-    rng = np.random.default_rng(8)
-    for _ in range(300):
-        angles = np.where(rng.random(18) < 0.5, ANGLE_LOW, ANGLE_HIGH)
-        pose = pose_of(angles)
-        found = pose.angles()
-        assert (found >= ANGLE_LOW).all() and (found <= ANGLE_HIGH).all()
-        np.testing.assert_allclose(forward(BODY, pose_of(found)), forward(BODY, pose), atol=1e-7)
 
 
 def test_angles_at_gimbal_lock_keep_the_previous_first_angle():
@@ -108,15 +78,6 @@ def test_canonical_leaves_hinges_within_the_margin():
     wrong = Pose(np.zeros(3), np.eye(3), pose_of(T_POSE_ANGLES).R_joints, np.array([0.1, 0.14, -0.1, -0.14]))
     np.testing.assert_array_equal(wrong.canonical().hinges, wrong.hinges)
     np.testing.assert_allclose(wrong.canonical(margin=0.0).hinges, -wrong.hinges)
-
-
-def test_stick_of_each_point_carries_it():
-    """A reference point moves with its stick: its distances to the stick's ends never change."""
-    rng = np.random.default_rng(12)
-    first, second = random_pose(rng), random_pose(rng)
-    for point, stick in enumerate(POINT_STICK):
-        distances = [np.linalg.norm(forward(BODY, p)[point] - sticks(BODY, p)[stick], axis=1) for p in (first, second)]
-        np.testing.assert_allclose(*distances, atol=1e-14)
 
 
 def test_pose_refuses_wrong_shapes_and_copies_its_arrays():

@@ -4,7 +4,7 @@ A body of average proportions, as tall as the hull, is fitted from natural postu
 them; where it explains too little, a stouter or a slimmer one takes its place if that explains more. The best fits are
 followed from set to set, through gaps; each costs what outlines, by their certainty, hull and joint limits say against
 it (``monitor/evidence.py``). What a single hull leaves open, front or back above all, time decides: knees and elbows
-bend one way, toes lie ahead of the ankles, and whoever walks walks forwards.
+bend one way, and toes lie ahead of the ankles.
 
 Whoever holds a T-pose, arms and legs within some degrees of one, is followed after a few sets, anybody else after a
 second. Lengths start as people's proportions with their spread (``body_sizes``); they are learnt while the person moves

@@ -21,8 +21,6 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 from .body_sizes import BodyEstimate
 
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
-NEIGHBOUR_FRAMES = 5
-"""A point that the reference lacks at the chosen frame may come from a frame this near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +84,7 @@ def pose_from_reference(
 ) -> KnownPose:
     """Return the pose and body of a reference (F, 15, 3) m with frame numbers (F,), at video frame ``frame``.
 
-    The body is measured over all frames unless it is given. A point that is unknown (NaN) at that frame is taken from
-    the nearest frame that has it, up to five frames away. Raises InputError when the frame or a point is missing.
+    The body is measured over all frames unless it is given. Raises InputError when the frame or a point is missing.
     """
     rows = np.flatnonzero(np.asarray(frames) == frame)
     if rows.size == 0:
@@ -95,24 +92,11 @@ def pose_from_reference(
             f"the reference has no frame {frame}", where=where, remedy=f"Choose {frames.min()} to {frames.max()}."
         )
     body = body or Body.from_points(points_world)
-    points = _filled(np.asarray(frames), points_world, int(rows[0]), where)
+    points = points_world[rows[0]]
+    if unknown := [name for name, point in zip(POINT_NAMES, points, strict=True) if not np.isfinite(point).all()]:
+        what = f"the reference does not know the {', '.join(unknown)} at frame {frame}"
+        raise InputError(what, where=where, remedy="Choose a frame at which all points are known.")
     return KnownPose(inverse(body, points), body)
-
-
-def _filled(frames: np.ndarray, points_world: np.ndarray, row: int, where: str) -> np.ndarray:
-    points = points_world[row].copy()
-    for index in np.flatnonzero(~np.isfinite(points).all(axis=1)):
-        known = np.flatnonzero(np.isfinite(points_world[:, index]).all(axis=1))
-        distance = np.abs(frames[known] - frames[row])
-        if known.size == 0 or distance.min() > NEIGHBOUR_FRAMES:
-            raise InputError(
-                f"the reference does not know the {POINT_NAMES[index]} within {NEIGHBOUR_FRAMES} frames of frame "
-                f"{frames[row]}",
-                where=where,
-                remedy="Choose a frame at which all points are known.",
-            )
-        points[index] = points_world[known[int(distance.argmin())], index]
-    return points
 
 
 def _refuse_unknown(document: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:

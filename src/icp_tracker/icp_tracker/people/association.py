@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_rig.rig import FARTHEST_M
-from mocap_packets.hull import REACH_M, HullProducts
+from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import SLACK_M, match_rays
 from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
@@ -24,8 +23,8 @@ from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State
 from stick_figure.pose import Pose
 
 from ..articulated_fit import POINT_GATE_M, ray_arrays
-from ..monitor.evidence import EXPLAINED_M as GRAZED_M
 
+REACH_M = 0.35  # body surface and half a limb: a skeleton that is farther from a person is another's
 NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
 OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
 PART_SHARE = 0.08  # of a part's points: fewer are a neighbour's hand (four persons in one wide hull explain 0.15 each)
@@ -36,8 +35,6 @@ ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb 
 # which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people.py together_ and the meeting as
 # footage; from 0.015 to 0.03 fewest hands stay on the other's outline)
 UNCLEAR_SD_M = 0.02
-PHANTOM_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a phantom nearly all do
-PHANTOM_LEAST_RAYS = 20  # fewer say nothing
 
 
 class Expected(NamedTuple):
@@ -109,21 +106,6 @@ def associate_rows(
             own = _of_person(own, distances[person].of_rows(own), others)
         rows[person] = own.products
     return rows
-
-
-def is_phantom(seen: HullProducts, part: int, expected: Sequence[Expected]) -> bool:
-    """Whether a part of the hull has no outline of its own: nearly all of its contour rays graze persons elsewhere.
-
-    Where silhouettes of two persons cross, few cameras leave a volume that all of them see as foreground; but what
-    bounds it in every picture is the outline of somebody in front of it or behind it: anywhere along the ray.
-    """
-    rays = seen.of_body(part).contour_rays
-    if not expected or len(rays) < PHANTOM_LEAST_RAYS:
-        return False
-    arrays, grazed = ray_arrays(rays, np.ones(len(rays))), np.zeros(len(rays), bool)
-    for one in expected:
-        grazed |= match_rays(arrays, one.placed, FARTHEST_M).separation < GRAZED_M
-    return bool(grazed.mean() >= PHANTOM_SHARE)
 
 
 def associate_skeletons(keypoints: Keypoints, expected: Sequence[Expected]) -> dict[int, Keypoints]:

@@ -28,7 +28,7 @@ from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from ..monitor.evidence import SAME_M
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
-from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons, is_phantom
+from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons
 
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
 BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a phantom's does not
@@ -119,12 +119,12 @@ class PeopleTracker:
         has_keypoints = len(keypoints.score) > 0
         expected = [] if is_alone and not has_keypoints else self._expected(seen.stamp_ns, predictions)
         self._keypoints = associate_skeletons(keypoints, expected) if has_keypoints else {}
-        if is_alone:
-            return (self._step_alone(seen, predictions.get(FIRST_PERSON)),)
         seen, dropped = seen.finite()
+        if is_alone:
+            return (replace(self._step_alone(seen, predictions.get(FIRST_PERSON)), dropped_points=dropped),)
         association = associate_parts(seen, parts, expected)
         there = [one for one in expected if one.person in association.parts]
-        free = [part for part in parts if part not in association.claimed and not is_phantom(seen, part, there)]
+        free = [part for part in parts if part not in association.claimed]
         back = self._reassign_lost_tracks(seen, association, free)
         fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
