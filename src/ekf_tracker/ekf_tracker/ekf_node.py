@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON, NOTHING_SEEN
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
-from mocap_packets.state import BodyState, Tracking
+from mocap_packets.state import BodyState
 from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
@@ -169,15 +169,9 @@ class EkfNode(SagomaNode):
 
 
 def summary_of(answers: dict[int, Answer]) -> str:
-    """Return in one line how it stands with everybody: of one person alone state and reason, of several why not."""
-    if len(answers) == 1:
-        (answer,) = answers.values()
-        return f"{answer.tracking}: {answer.reason}"
-    people = [
-        f"{p} {a.tracking}" if a.tracking == Tracking.TRACKING else f"{p} {a.tracking} ({a.reason})"
-        for p, a in answers.items()
-    ]
-    return f"{len(answers)} persons: {', '.join(people)}"
+    """Return in one line how it stands with everybody: state and reason."""
+    each = [f"{answer.tracking}: {answer.reason}" for answer in answers.values()]
+    return each[0] if len(each) == 1 else "; ".join(f"{p} {text}" for p, text in zip(answers, each, strict=True))
 
 
 def main(args: list[str] | None = None) -> None:

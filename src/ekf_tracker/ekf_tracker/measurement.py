@@ -46,22 +46,17 @@ class Measurement(NamedTuple):
     ) -> Measurement:
         """Return a measurement whose points have at least the standard deviation ``sd_floor`` (m) in every direction.
 
-        Numbers of points that are not visible are ignored. Raises InputError for wrong shapes, numbers that are not
-        finite, and covariances that are not symmetric or not positive.
+        Numbers of points that are not visible are ignored. Raises InputError for numbers that are not finite, and
+        covariances that are not symmetric or not positive.
         """
         points_world = np.ascontiguousarray(points_world, float)
         covariance = np.ascontiguousarray(covariance, float)
         visible = np.ascontiguousarray(visible, bool)
-        for name, array, shape in (
-            ("points", points_world, (POINTS, 3)),
-            ("covariance", covariance, (POINTS, 3, 3)),
-            ("visible", visible, (POINTS,)),
-        ):
-            if array.shape != shape:
-                raise InputError(f"{name} has shape {array.shape}", remedy=f"Expected {shape}.")
         z, R = np.zeros((POINTS, 3)), np.zeros((POINTS, 3, 3))
-        if not _copy_visible(points_world, covariance, visible, sd_floor**2, z, R):
-            _refuse(z, R)
+        bad = _copy_visible(points_world, covariance, visible, sd_floor**2, z, R)
+        if bad >= 0:
+            what = f"point '{POINT_NAMES[bad]}' is not finite, or its covariance not symmetric and positive"
+            raise InputError(what, remedy="Mark points that could not be measured as not visible.")
         return cls(z, R, visible.copy())
 
 
@@ -98,33 +93,15 @@ def linearised(body: Body, pose: Pose) -> Linearised:
     return at
 
 
-def _refuse(points_world: np.ndarray, covariance: np.ndarray) -> None:
-    """Raises InputError that names the first bad point and what is wrong with it."""
-    for i, name in enumerate(POINT_NAMES):
-        problem = "has a covariance that is not positive"
-        if not np.isfinite(points_world[i]).all():
-            problem = "is not finite"
-        elif not np.isfinite(covariance[i]).all():
-            problem = "has a covariance that is not finite"
-        elif _asymmetry(covariance[i]) >= ASYMMETRY_M2:
-            problem = "has an asymmetric covariance"
-        elif np.linalg.eigvalsh(covariance[i])[0] > 0.0:
-            continue
-        raise InputError(f"point '{name}' {problem}", remedy="Mark points that could not be measured as not visible.")
-
-
-def _asymmetry(covariance: np.ndarray) -> np.ndarray:
-    return np.abs(covariance - covariance.swapaxes(-1, -2)).max(axis=(-1, -2))
-
-
 # --- kernels ---------------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True)
 def _copy_visible(points_world, covariance, visible, floor, z, R):
-    """z and R <- what is visible, the floor (m^2) added to each variance; whether all of it can be used."""
-    good = True
+    """z and R <- what is visible, the floor (m^2) added to each variance; the last point that is useless, or -1."""
+    bad = -1
     for point in range(POINTS):
+        good = True
         if visible[point]:
             z[point] = points_world[point]
             R[point] = covariance[point]
@@ -133,8 +110,9 @@ def _copy_visible(points_world, covariance, visible, floor, z, R):
             for j in range(i):
                 good = good and abs(R[point, i, j] - R[point, j, i]) < ASYMMETRY_M2
             R[point, i, i] += floor
-        good = good and positive3(R[point])
-    return good
+        if not (good and positive3(R[point])):
+            bad = point
+    return bad
 
 
 @njit(cache=True)

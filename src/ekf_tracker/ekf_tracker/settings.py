@@ -73,11 +73,6 @@ class EkfNodeSettings:
     filter: EkfSettings = field(default_factory=EkfSettings)
 
 
-def limit_weight(settings: EkfSettings) -> float:
-    """Weight of a joint limit, 1/rad^2; 0 for none."""
-    return 0.0 if settings.limit_sd_rad == 0.0 else 1.0 / settings.limit_sd_rad**2
-
-
 def motion_model(settings: EkfSettings) -> MotionModel:
     """Return the motion model that the settings choose."""
     return Identity() if settings.motion_model == "identity" else DampedVelocity()

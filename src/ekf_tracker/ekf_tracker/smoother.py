@@ -9,8 +9,7 @@ without points, or with points that the fit itself doubts, is so filled from bot
 how far it was from the nearest one that was seen. Where the filter lost a limb and found it elsewhere, or started anew,
 nothing passes back.
 
-What lasts of the errors (`bias`) no smoothing removes. It is added as the filter adds it; a point takes it from the set
-of the median one within half a second: a short doubt is filled from both sides, a long one stays.
+What lasts of the errors (`bias`) no smoothing removes. It is added as the filter adds it.
 """
 
 from __future__ import annotations
@@ -33,11 +32,9 @@ from .motion_model import POSE, VELOCITY
 from .settings import EkfSettings
 from .track import JOINT_SD_CAP_RAD, Track
 
-# Thresholds: judgement, no measurement.
+# Thresholds: rounding from arithmetic.
 SMALLEST_VARIANCE = 1e-12
 """What is below this (1 micrometre, 1 microradian) is rounding, not knowledge."""
-REACH_S = 0.5
-"""How far a smoothed point's evidence may lie: the filter forgets a velocity after 0.1 s, a pose a few times later."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,28 +113,16 @@ def positive_definite(P: np.ndarray) -> np.ndarray:
 
 
 def _states(run: Sequence[_Filtered], smoothed: Sequence[Estimate]) -> list[BodyState | NoState]:
-    stamps = np.array([found.state.stamp_ns for found in run])
-    typical = _typical(stamps, np.array([np.trace(found.lasting, axis1=1, axis2=2) for found in run]))
-    states, angles, points = list[BodyState | NoState](), None, np.arange(15)
-    for k, (found, x) in enumerate(zip(run, smoothed, strict=True)):
+    states, angles = list[BodyState | NoState](), None
+    for found, x in zip(run, smoothed, strict=True):
         pose = Pose(*x.arrays)
         angles = pose.angles(angles)
-        lasting = np.array([run[typical[k, i]].lasting[i] for i in points])
-        joints = np.array([run[typical[k, i]].joints[i] for i in points])
-        reported = report(x, Sizes.of(found.body), lasting, joints, JOINT_SD_CAP_RAD**-2, angles)
+        reported = report(x, Sizes.of(found.body), found.lasting, found.joints, JOINT_SD_CAP_RAD**-2, angles)
         points_world, point_covariance, covariance, rates = reported
         known = {"pose": pose, "velocity": x.velocity, "covariance": covariance, "angles": angles, "rates": rates}
         of_points = {"points_world": points_world, "point_covariance": point_covariance}
         states.append(replace(found.state, **known, **of_points))
     return states
-
-
-def _typical(stamps_ns: np.ndarray, traces: np.ndarray) -> np.ndarray:
-    """Return (n, 15) the set within REACH_S whose lasting error of each point has the median trace (n, 15), m^2."""
-    traces = np.where(traces > 0.0, traces, np.inf)
-    reach_ns = round(REACH_S * 1e9)
-    first, end = np.searchsorted(stamps_ns, [stamps_ns - reach_ns, stamps_ns + reach_ns + 1])
-    return np.array([a + traces[a:b].argsort(axis=0)[(b - a) // 2] for a, b in zip(first, end, strict=True)])
 
 
 def check_stamps(stamps_ns: Sequence[int], where: str) -> None:

@@ -27,7 +27,7 @@ from .motion_model import (
     per_slot,
     raised_covariance,
 )
-from .settings import EkfSettings, limit_weight, motion_model
+from .settings import EkfSettings, motion_model
 
 # Thresholds: NEEDED_TORSO_POINTS from geometry: three may lie on a line; else judgement.
 POINT_SD_FLOOR_M = 0.001
@@ -55,7 +55,8 @@ class Track:
     def __init__(self, body: Body, settings: EkfSettings, stamp_ns: int, z: Measurement) -> None:
         self.settings, self._trunk = settings, TorsoBend(settings.bend)
         self._motion = motion_model(settings)
-        self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight(settings))
+        limit_weight = 1.0 / settings.limit_sd_rad**2 if settings.limit_sd_rad else 0.0
+        self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight)
         self._bias = MeasurementBias(settings.measurement_bias)
         self._last_transition = self._motion.transition(0.0)
         self._angles: np.ndarray | None = None

@@ -140,7 +140,7 @@ def test_two_persons_have_topics_each_and_one_answer_a_set(couple, body, person)
     predictions = read_predictions(published["ekf/prediction"][-1], "test").of
     apart = predictions[2].pose.position_world - predictions[1].pose.position_world
     np.testing.assert_allclose(apart, BESIDE, atol=0.01)
-    b.until_said("2 persons: 1 tracking, 2 tracking")
+    b.until_said("1 tracking: 15 points used; 2 tracking: 15 points used")
 
 
 def test_markers_of_each_person_have_a_namespace_and_a_colour_of_their_own(couple):

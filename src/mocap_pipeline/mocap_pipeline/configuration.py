@@ -13,9 +13,6 @@ from ekf_tracker.settings import EkfNodeSettings, EkfSettings
 from hull_server.settings import HullSettings
 from icp_tracker.settings import IcpNodeSettings
 
-FILTER = "filter."
-"""Prefix of the filter's parameters; it may be left out."""
-
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
@@ -39,11 +36,10 @@ class Configuration:
             if node not in parts:
                 raise InputError(f"'{key}' names no node", where="settings", remedy=f"Nodes: {', '.join(parts)}.")
             parts[node][parameter] = value
-        ekf = {FILTER + key.removeprefix(FILTER): value for key, value in parts["ekf_tracker"].items()}
         return cls(
             build_settings(CameraClientSettings, parts["cameras"], "cameras"),
             build_settings(HullSettings, parts["hull_server"], "hull_server"),
             build_settings(IcpNodeSettings, parts["icp_tracker"], "icp_tracker"),
-            build_settings(EkfNodeSettings, ekf, "ekf_tracker").filter,
+            build_settings(EkfNodeSettings, parts["ekf_tracker"], "ekf_tracker").filter,
             feedback,
         )

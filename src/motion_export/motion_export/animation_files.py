@@ -2,7 +2,7 @@
 
 BVH, in cm, from a T-pose (Meredith & Maddock, Motion capture file formats explained, Sheffield CS-01-11, 2001):
 a bone's length is constant in most files. Where the take's body was still being refined, each joint gets position
-channels as well, which Blender, MotionBuilder and Maya read; ``constant_bones`` leaves them out.
+channels as well, which Blender, MotionBuilder and Maya read.
 
 glTF, in metres (Khronos glTF 2.0 specification, 3.4): every joint is a node; every bone shows itself as an octahedron,
 so that viewers without skeleton display show the motion. Gaps hold no keys: programs interpolate over them, and
@@ -30,40 +30,35 @@ DIGITS = 5
 """A tenth of a micrometre and of a microradian's degree: below any reader's single precision."""
 
 
-def write_bvh(motion: Motion, path: Path, *, constant_bones: bool = False) -> None:
+def write_bvh(motion: Motion, path: Path) -> None:
     """Write one person's motion; gaps are filled, since the format has none."""
     tree = JointTree.of_motion(motion)
-    moving = not (tree.rigid or constant_bones)
-    lines = ["HIERARCHY", *_joint_lines(tree, 0, 0, moving), "MOTION"]
+    lines = ["HIERARCHY", *_joint_lines(tree, 0, 0), "MOTION"]
     lines += [f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.rate_hz:.9f}"]
     columns = []  # the channels in the order of the hierarchy, which is that of JOINTS
     for joint in range(len(JOINTS)):
-        if _has_positions(joint, moving):
+        if joint == 0 or not tree.rigid:
             columns.append(CM_PER_M * tree.translations[:, joint])
         columns.append(Rotation.from_matrix(tree.rotations[:, joint]).as_euler(ROTATION_ORDER, degrees=True))
     lines += map(_numbers, np.concatenate(columns, axis=1))
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _joint_lines(tree: JointTree, joint: int, depth: int, moving: bool) -> Iterator[str]:
+def _joint_lines(tree: JointTree, joint: int, depth: int) -> Iterator[str]:
     """Describe a joint and all below it."""
     indent, inner = "\t" * depth, "\t" * (depth + 1)
     children = [child for child, parent in enumerate(PARENTS) if parent == joint]
     rotations = " ".join(f"{axis}rotation" for axis in ROTATION_ORDER)
-    positions = "Xposition Yposition Zposition " if _has_positions(joint, moving) else ""
+    positions = "Xposition Yposition Zposition " if joint == 0 or not tree.rigid else ""
     yield f"{indent}{'ROOT' if joint == 0 else 'JOINT'} {JOINTS[joint].name}"
     yield f"{indent}{{"
     yield f"{inner}OFFSET {_numbers(CM_PER_M * tree.offsets[joint])}"
     yield f"{inner}CHANNELS {6 if positions else 3} {positions}{rotations}"
     for child in children:
-        yield from _joint_lines(tree, child, depth + 1, moving)
+        yield from _joint_lines(tree, child, depth + 1)
     if not children:
         yield from (f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET 0 0 0", f"{inner}}}")
     yield f"{indent}}}"
-
-
-def _has_positions(joint: int, moving: bool) -> bool:
-    return joint == 0 or moving
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -33,6 +33,7 @@ from stick_figure.skeleton import (
     STICK_SIGN,
     T_POSE_ANGLES,
     TORSO,
+    TORSO_POINTS,
 )
 
 from .motion import R_BIOMECHANICS_WORLD, Motion, fill_linearly, fill_rotations, rotated
@@ -155,8 +156,7 @@ def _marker_place(body: Body, point: int) -> np.ndarray:
     stick = int(POINT_STICK[point])
     if stick != TORSO:
         return _along(stick, body.lengths[stick])
-    torso_points = {0: 0, 2: 1, 3: 2, 4: 3, 5: 4, 6: 5}
-    return R_BIOMECHANICS_WORLD @ body.torso_points[torso_points[point]]
+    return R_BIOMECHANICS_WORLD @ body.torso_points[TORSO_POINTS.tolist().index(point)]
 
 
 def _along(stick: int, length: float) -> np.ndarray:

@@ -57,13 +57,6 @@ def test_bvh_read_by_bvhio(motion: Motion, tmp_path: Path) -> None:
             assert place == pytest.approx(motion.points_world[frame, point], abs=NEAR_M)
 
 
-def test_bvh_bones_have_constant_lengths_when_asked(tmp_path: Path) -> None:
-    write_bvh(growing(), tmp_path / "take.bvh", constant_bones=True)
-    assert (tmp_path / "take.bvh").read_text().count("position") == 3
-    write_bvh(growing(), tmp_path / "moving.bvh")
-    assert (tmp_path / "moving.bvh").read_text().count("position") == 3 * len(JOINTS)
-
-
 def test_c3d_read_by_ezc3d(tmp_path: Path) -> None:
     ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed (requirements-dev.txt)")
     motion = swinging(gap=GAP)

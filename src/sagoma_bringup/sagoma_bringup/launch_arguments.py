@@ -20,7 +20,6 @@ AUTO_START, T_POSE_START, REFERENCE_START = "auto", "t_pose", "session"
 STARTS = (AUTO_START, T_POSE_START, REFERENCE_START)
 # nobody drives the cameras of launched footage: they wait for each other
 PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True}
-RESTART, SHUTDOWN = "restart", "shutdown"
 RESTART_DELAY_S = 2.0  # long enough to read why a node died, short enough not to miss the next person
 
 
@@ -49,7 +48,6 @@ OF_ANY_NODE = (
     ),
     switch("use_sim_time", "every node takes the time from /clock, as of a bag that is played"),
     switch("autostart", "configure and activate at start; false: `sagoma start` does, from any machine", "true"),
-    Argument("on_exit", "when a node dies: start it again, or end the whole launch", RESTART, (RESTART, SHUTDOWN)),
 )
 OF_A_SERVER = (
     Argument("body", "body YAML; empty: measured when a person is found", ""),

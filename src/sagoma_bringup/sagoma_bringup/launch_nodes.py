@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.launch_description import LaunchDescription
 from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
@@ -21,7 +21,7 @@ from capture_rig.yaml_file import format_mapping, read_mapping
 from sagoma_ros.middleware import SCHEME, package_path, resolve_packages
 
 from .graph import ONE_PROCESS, ProcessSpec, processes_of
-from .launch_arguments import ARGUMENTS, RESTART, RESTART_DELAY_S, described_graph
+from .launch_arguments import ARGUMENTS, RESTART_DELAY_S, described_graph
 
 CONFIG = f"{SCHEME}sagoma_bringup/config"
 
@@ -53,18 +53,15 @@ def start(file: str, context: Any) -> list[Node]:
 
 def _process(process: ProcessSpec, values: Mapping[str, str], files: list[str]) -> Node:
     """``files`` : parameter files that are read after the process's own."""
-    options: dict[str, Any] = {"respawn": True, "respawn_delay": RESTART_DELAY_S}
-    if values["on_exit"] != RESTART:
-        options = {"on_exit": [Shutdown(reason=f"{process} has ended")]}
-    if len(process.nodes) == 1:  # a name would rename all of several
-        options["name"] = process.nodes[0].name
     return Node(
         package=process.package,
         executable=process.executable,
         namespace=f"{values['namespace'].strip('/')}{process.nodes[0].namespace}".strip("/") or None,
         output="screen",
         parameters=[_write_parameters(process), *files],
-        **options,
+        name=process.nodes[0].name if len(process.nodes) == 1 else None,  # it would rename all of several
+        respawn=True,
+        respawn_delay=RESTART_DELAY_S,
     )
 
 

@@ -235,7 +235,6 @@ def _add_export(subparsers: argparse._SubParsersAction) -> None:
     option("--output", metavar="FOLDER", help="where the files go (default: TAKE/export)")
     option("--rate", type=FRAME_RATE, metavar="HZ", help="frames a second of the files (default: the take's own)")
     option("--mass", type=MASS, metavar="KG", help="of the person, for the OpenSim model (default: a BMI of 22)")
-    option("--constant-bones", action="store_true", help="BVH without position channels below the root")
     option("--overwrite", action="store_true", help="replace files of earlier exports")
     add_takes_argument(parser)
     parser.set_defaults(run=run_export)
@@ -246,7 +245,7 @@ def run_export(args: argparse.Namespace) -> int:
     formats = list(FORMATS) if ALL in args.format else args.format
     take = bag_of(args.take, args.takes)
     folder = Path(args.output) if args.output else take / EXPORTS
-    export_take(take, folder, formats, args.rate, args.mass, args.constant_bones, args.overwrite, print)
+    export_take(take, folder, formats, args.rate, args.mass, args.overwrite, print)
     return 0
 
 

@@ -86,7 +86,7 @@ PARTS: Mapping[str, Mapping[str, Any]] = {
     "the hull's surface on the body surface": {SOLVE + "volume.weight": 0.0},
     "contour rays tangent to the body surface": {SOLVE + "contour.weight": 0.0},
     "fits start from the filter's state": {FEEDBACK: False},
-    "constant velocity": {"ekf_tracker.motion_model": "identity"},
+    "constant velocity": {"ekf_tracker.filter.motion_model": "identity"},
 }
 """The parts of the tracker in the order in which the rows add them, and the settings that switch each off."""
 ROWS = (THESIS, *(f"+ {part}" for part in PARTS))

@@ -33,10 +33,10 @@ from .take import Quality, Take
 Writer = Callable[[Motion, Path], None]
 
 
-def writers(constant_bones: bool = False, mass_kg: float | None = None) -> Mapping[str, Mapping[str, Writer]]:
+def writers(mass_kg: float | None = None) -> Mapping[str, Mapping[str, Writer]]:
     """Return of each format the extensions of its files and who writes them."""
     return {
-        "bvh": {"bvh": partial(write_bvh, constant_bones=constant_bones)},
+        "bvh": {"bvh": write_bvh},
         "glb": {"glb": write_glb},
         "c3d": {"c3d": write_c3d},
         "trc": {"trc": write_trc},
@@ -57,14 +57,13 @@ def export_take(
     formats: Sequence[str],
     rate_hz: float | None = None,
     mass_kg: float | None = None,
-    constant_bones: bool = False,
     overwrite: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
     """Write every person of a take in every format wanted, each file whole or not at all; returns the files.
 
     rate_hz : frames a second, None for the take's own. mass_kg : of the OpenSim model, None for a BMI of 22.
-    constant_bones : BVH without position channels below the root. overwrite : replace files. tell : hears of every
+    overwrite : replace files. tell : hears of every
     person and file. Raises InputError for a take without a person, and for files that exist.
     """
     motions = recorded_motions(take, rate_hz)
@@ -72,7 +71,7 @@ def export_take(
         (body_id, kind, folder / f"{motion.name}.{extension}", write)
         for body_id, motion in motions.items()
         for kind in dict.fromkeys(formats)
-        for extension, write in writers(constant_bones, mass_kg)[kind].items()
+        for extension, write in writers(mass_kg)[kind].items()
     ]
     existing = [str(path) for _, _, path, _ in planned if path.exists()]
     if existing and not overwrite:
