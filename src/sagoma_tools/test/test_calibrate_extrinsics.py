@@ -124,7 +124,7 @@ def test_lenses_that_are_missing_or_of_another_camera_or_image_size_are_refused(
     cv2.imwrite(str(room / "floor" / "cam02.png"), cv2.resize(image, (1280, 960), interpolation=cv2.INTER_CUBIC))
     assert "cam02: its images are 1280 x 960 pixels, its intrinsics are for 640 x 480" in complaint(capsys, room)
     lens.write_bytes((room / "intrinsics" / "cam01.yaml").read_bytes())
-    assert "camera_name = 'cam01', but the footage is called 'cam02'" in complaint(capsys, room)
+    assert "camera_name = 'cam01' is not this camera, 'cam02'" in complaint(capsys, room)
     lens.unlink()
     said = complaint(capsys, room)
     assert "camera 'cam02'" in said and "sagoma calibrate intrinsics" in said

@@ -116,7 +116,6 @@ def shapes_of(targets: Mapping[str, npt.ArrayLike], alike: Collection[str] = ())
 # that looks alike after half a turn doubles them. All are kept until other cameras or frames tell.
 
 MIN_CORNERS = 4
-SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +152,10 @@ def poses_of(
     focal_px = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     refined = [_refine(points, ideal, R, t) for R, t in _planar(points, ideal)]
     scored = [(_rms(points, ideal, R, t) * focal_px, R, t) for R, t in refined if np.all(points @ R[2] + t[2] > 0)]
-    distinct = _distinct(sorted(scored, key=lambda one: one[0]))
-    if not distinct:
+    if not scored:
         return None
-    rms, R, t = (np.array(column) for column in zip(*distinct, strict=True))
+    scored.sort(key=lambda one: one[0])
+    rms, R, t = (np.array(column) for column in zip(*scored, strict=True))
     ways, each = shape.ways, len(rms)
     return DetectionPoses(
         (R @ ways[:, None].swapaxes(-1, -2)).reshape(-1, 3, 3),
@@ -191,14 +190,6 @@ def _rms(points: Array, ideal: Array, R: Array, t: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((seen[:, :2] / seen[:, 2:] - ideal) ** 2, axis=1))))
 
 
-def _distinct(scored: list[tuple[float, Array, Array]]) -> list[tuple[float, Array, Array]]:
-    kept: list[tuple[float, Array, Array]] = []
-    for one in scored:
-        if all(np.trace(one[1].T @ other[1]) < 1 + 2 * np.cos(SAME_POSE) for other in kept):
-            kept.append(one)
-    return kept
-
-
 @dataclass(frozen=True, eq=False)
 class View:
     """A detection, its corners without distortion (n, 2), and the poses of the target that it alone allows (None: it
@@ -222,16 +213,10 @@ class View:
 def views_of(
     detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
 ) -> list[View]:
-    """Make the views of all detections, in their order; all corners of a camera go through its lens at once."""
-    undistorted: dict[int, Array] = {}
-    for name, camera in cameras.items():
-        rows = [row for row, detection in enumerate(detections) if detection.camera == name]
-        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
-        ends = np.cumsum([len(detections[row]) for row in rows])[:-1]
-        undistorted |= zip(rows, np.split(corners, ends), strict=bool(rows))
+    """Make the views of all detections, in their order."""
     views = []
-    for row, detection in enumerate(detections):
-        shape, ideal = shapes[detection.target], undistorted[row]
-        poses = poses_of(detection.ids, ideal, cameras[detection.camera], shape)
-        views.append(View(detection, shape, ideal, poses))
+    for detection in detections:
+        shape, camera = shapes[detection.target], cameras[detection.camera]
+        ideal = camera.ideal_points(detection.pixels)
+        views.append(View(detection, shape, ideal, poses_of(detection.ids, ideal, camera, shape)))
     return views

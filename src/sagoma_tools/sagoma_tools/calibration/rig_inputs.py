@@ -117,9 +117,4 @@ def _read(folder: Path, name: str) -> CameraModel:
         what = f"there is no {path.name} with the intrinsics of camera '{name}'; {there}"
         remedy = f"{CALIBRATE}, rename the footage or the file, or leave the camera out (--without {name})."
         raise InputError(what, where=str(folder), remedy=remedy)
-    camera = read_camera_info(path)
-    if camera.name != name:
-        what = f"camera_name = '{camera.name}', but the footage is called '{name}'"
-        remedy = "If the file belongs to this camera, correct camera_name in it; else give the right folder."
-        raise InputError(what, where=str(path), remedy=remedy)
-    return camera
+    return read_camera_info(path, name)
