@@ -184,6 +184,7 @@ def _board(mapping: Mapping[str, Any], where: str) -> Board:
     if not isinstance(kind, str) or kind not in KEYS:
         remedy = f"Give one of {', '.join(KEYS)}."
         raise InputError(f"type = {kind!r} is not a type of board", where=where, remedy=remedy)
+    mapping = {"field_m" if key == "square_m" and kind == "checkerboard" else key: mapping[key] for key in mapping}
     needed, optional = KEYS[kind]
     if missing := sorted(needed - set(mapping)):
         raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=EXAMPLES)
