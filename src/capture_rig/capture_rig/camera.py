@@ -20,7 +20,7 @@ CANVAS_WIDTH_MULTIPLE = 32
 BAND_ROWS = 32
 # Thresholds: judgement, no measurement.
 ROUNDING_PX = 1e-6
-SHARE_STEP_PX, MOST_CELLS = 4, 500  # every sixteenth pixel tells a share to a thousandth; so many a side, too
+CELLS = 200  # a side: so many places tell a share to a thousandth
 RIM_POINTS = 720  # half a degree apart
 MAX_CANVAS_GROWTH = 2.0  # a canvas wider than this times the image means that the lens model diverges at the edges
 
@@ -111,7 +111,8 @@ class CameraModel:
     @cached_property
     def _use(self) -> tuple[float, float]:
         w, h = self.width, self.height
-        cells = np.stack(np.meshgrid(_cell_middles(w), _cell_middles(h)), axis=-1).reshape(-1, 2)
+        x, y = ((np.arange(CELLS) + 0.5) * size / CELLS - 0.5 for size in (w, h))
+        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         corners = np.array([[0.0, 0.0], [w - 1.0, 0.0], [0.0, h - 1.0], [w - 1.0, h - 1.0]])
         ideal = self.ideal_points(np.concatenate([corners, cells]))
         on_canvas = ideal * self.K.diagonal()[:2] + self.K[:2, 2]
@@ -130,12 +131,6 @@ class CameraModel:
     def undistorted_view(self) -> UndistortedView:
         """Return the same camera without distortion, on a canvas that loses no pixel of the image (computed once)."""
         return self._undistorted_view
-
-
-def _cell_middles(size: int) -> Array:
-    """Pixels that stand for SHARE_STEP_PX or so of them each, in one direction; for more where that are MOST_CELLS."""
-    count = min(-(-size // SHARE_STEP_PX), MOST_CELLS)
-    return (np.arange(count) + 0.5) * size / count - 0.5
 
 
 def looking_at(centre_world: Array, target_world: Array, roll_rad: float = 0.0) -> Array:

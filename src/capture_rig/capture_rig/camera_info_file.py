@@ -28,10 +28,10 @@ _REMEDY = "Give a camera_info YAML, as camera_calibration writes it, or leave ca
 def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
     """Return ``camera`` with the intrinsics of the camera_info YAML at ``path``; its pose stays.
 
-    Raises InputError with file, key, value and remedy: no such file, another camera's name or image size, a matrix
-    that is none.
+    Raises InputError as :func:`read_camera_info`, and for another camera's name or image size.
     """
-    return _with_document(camera, _read(path, camera.name), str(path))
+    read = read_camera_info(path, camera.name)
+    return _with_lens_of(camera, read, str(path))
 
 
 def read_camera_info(path: str | Path, wanted: str = "") -> CameraModel:
@@ -41,41 +41,19 @@ def read_camera_info(path: str | Path, wanted: str = "") -> CameraModel:
     Raises InputError with file, key, value and remedy: no such file, a camera without a name or, where one is given,
     another than the ``wanted``, a matrix that is none.
     """
-    document, where = _read(path, wanted), str(path)
+    document, where = read_mapping(Path(path), _REMEDY), str(path)
+    if missing := [key for key in KEYS if key not in document]:
+        raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=_REMEDY)
     name = document["camera_name"]
     if not isinstance(name, str) or not name:
         raise InputError(f"camera_name = {name!r} is not a name", where=where, remedy="Write the camera's name there.")
-    width, height = (document[key] for key in ("image_width", "image_height"))
-    anything = CameraModel(name, width, height, np.eye(3), "plumb_bob", np.zeros(5), np.eye(4))
-    return _with_document(anything, document, where)
-
-
-def _read(path: str | Path, name: str) -> Mapping[str, Any]:
-    document = read_mapping(Path(path), _REMEDY)
-    missing = [key for key in KEYS if key not in document]
-    if missing:
-        raise InputError(f"key '{missing[0]}' is missing", where=str(path), remedy=_REMEDY)
-    if name and document["camera_name"] != name:
-        raise InputError(
-            f"camera_name = {document['camera_name']!r} is not this camera, '{name}'",
-            where=str(path),
-            remedy="Name the file of this camera.",
-        )
-    return document
-
-
-def _with_document(camera: CameraModel, document: Mapping[str, Any], where: str) -> CameraModel:
-    matrices = {key: _matrix(document, key, shape, where) for key, shape in MATRICES.items()}
-    return with_intrinsics(
-        camera,
-        document["image_width"],
-        document["image_height"],
-        matrices["camera_matrix"].tolist(),
-        document["distortion_model"],
-        _coefficients(document, where),
-        matrices["rectification_matrix"].tolist(),
-        where,
-    )
+    if wanted and name != wanted:
+        remedy = "Name the file of this camera, or correct camera_name in it."
+        raise InputError(f"camera_name = '{name}' is not this camera, '{wanted}'", where=where, remedy=remedy)
+    matrices = {key: _matrix(document, key, shape, where).tolist() for key, shape in MATRICES.items()}
+    size, lens = (document["image_width"], document["image_height"]), document["distortion_model"]
+    D, R = _coefficients(document, where), matrices["rectification_matrix"]
+    return _camera(name, *size, matrices["camera_matrix"], lens, D, R, where)
 
 
 def with_intrinsics(
@@ -85,30 +63,37 @@ def with_intrinsics(
 
     ``K``, ``R`` are 3 x 3 nested lists, ``D`` a list. Raises InputError naming ``where``.
     """
-    if (width, height) != (camera.width, camera.height):
+    return _with_lens_of(camera, _camera(camera.name, width, height, K, distortion_model, D, R, where), where)
+
+
+def _with_lens_of(camera: CameraModel, other: CameraModel, where: str) -> CameraModel:
+    if (other.width, other.height) != (camera.width, camera.height):
         raise InputError(
-            f"is for images of {width} x {height} pixels, those of {camera.name} have {camera.width} x {camera.height}",
+            f"is for images of {other.width} x {other.height} pixels, those of {camera.name} have "
+            f"{camera.width} x {camera.height}",
             where=where,
             remedy="Calibrate at the size that the camera delivers, or set the camera's region.",
         )
+    return replace(camera, K=other.K, distortion_model=other.distortion_model, D=other.D)
+
+
+def _camera(name: str, width: Any, height: Any, K: Any, model: Any, D: Any, R: Any, where: str) -> CameraModel:
     if not np.allclose(R, np.eye(3), atol=ROTATION_TOLERANCE):
         raise InputError(
             "rectification_matrix is not the identity",
             where=where,
             remedy="A stereo calibration cannot be used; calibrate each camera by itself.",
         )
-    model = "plumb_bob" if distortion_model == "" and not np.any(D) else distortion_model
     entry = {
         "image_width": width,
         "image_height": height,
         "camera_matrix": K,
-        "distortion_model": model,
+        "distortion_model": "plumb_bob" if model == "" and not np.any(D) else model,
         "distortion": D or [0.0] * 5,
-        "R_camera_world": camera.R_camera_world.tolist(),
-        "t_camera_world": camera.t_camera_world.tolist(),
+        "R_camera_world": np.eye(3),
+        "t_camera_world": np.zeros(3),
     }
-    read = camera_from_mapping(camera.name, entry, where)
-    return replace(camera, K=read.K, distortion_model=read.distortion_model, D=read.D)
+    return camera_from_mapping(name, entry, where)
 
 
 def save_camera_info(path: str | Path, camera: CameraModel) -> None:

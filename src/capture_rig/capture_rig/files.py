@@ -20,27 +20,15 @@ from .errors import InputError, shortened
 
 MOST_TEXT_BYTES = 256 << 20  # an hour of reference points at 60 Hz has 150 MB
 _READABLE = 0o666  # less the user's umask, as any program's files
-_REMEDIES = {
-    errno.ENOSPC: "Free space on that disk, or choose another.",
-    errno.EDQUOT: "Free space within your quota, or choose another disk.",
-    errno.EFBIG: "Raise the limit of a file's size (ulimit -f), or choose another disk.",
-    errno.ENAMETOOLONG: "Give a shorter path.",
-    errno.EACCES: "Choose a path that you may use, or change its permissions.",
-    errno.EPERM: "Choose a path that you may use, or change its permissions.",
-    errno.EROFS: "Choose a disk that can be written.",
-    errno.EEXIST: "A file has that name: choose another.",
-    errno.ENOENT: "Check the path.",
-    errno.ENOTDIR: "Check the path: a part of it is a file.",
-    errno.EISDIR: "Give the path of a file, not of a folder.",
-}
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+FREE_SPACE = "Free space on that disk, or choose another."
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the quota, what a file may have
 
 
 def describe_os_error(error: OSError, what: str, where: object = None, remedy: str = "") -> InputError:
-    """The InputError that says ``what`` could not be done, why, and the remedy (by default one for its errno)."""
+    """The InputError that says ``what`` could not be done, why, and the remedy."""
     place = where if where is not None else error.filename
-    hint = remedy or _REMEDIES.get(error.errno or 0, "Check the path and the disk.")
-    return InputError(f"{what} ({error.strerror or error})", where=shortened(str(place or "")), remedy=hint)
+    remedy = remedy or (FREE_SPACE if error.errno in FULL else "Check the path and who may use it.")
+    return InputError(f"{what} ({error.strerror or error})", where=shortened(str(place or "")), remedy=remedy)
 
 
 def read_text(path: str | Path, remedy: str = "", most_bytes: int = MOST_TEXT_BYTES) -> str:

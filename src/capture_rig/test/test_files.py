@@ -79,8 +79,7 @@ def test_what_cannot_be_written_is_an_error_with_a_remedy(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     for path, says in (
         (tmp_path / "absent" / "rig.yaml", r"cannot be written \(No such file or directory\). Check the path"),
-        (tmp_path / ("x" * 300), r"cannot be written \(File name too long\). Give a shorter path"),
-        (tmp_path, r"cannot be written \(Is a directory\). Give the path of a file"),
+        (tmp_path, r"cannot be written \(Is a directory\). Check the path"),
     ):
         with pytest.raises(InputError, match=says):
             write_text(path, "new")

@@ -132,10 +132,9 @@ def test_blur_is_measured(board, optics, blur_px):
         (BOARD, 0.2, "checkerboard 9x6 25mm", "partly hidden or outside the image"),
         (BOARD, 0.0, "charuco 8x6 30mm 22mm DICT_5X5_100", "a checkerboard of 9 x 6 .* instead of charuco 8x6"),
         (CHARUCO, 0.0, "charuco 8x6 30mm 22mm DICT_4X4_50", "markers of DICT_5X5 were seen, not as on charuco"),
-        (CHARUCO, 0.0, "checkerboard 9x6 25mm", "markers of DICT_5X5 were seen, not as on checkerboard"),
         (BOARD, 0.0, "checkerboard 9x6 25mm", None),
     ],
-    ids=["another size", "partly outside", "no markers", "another dictionary", "markers", "found"],
+    ids=["another size", "partly outside", "no markers", "another dictionary", "found"],
 )
 def test_what_is_seen_instead_of_the_board_is_named(shown, offset, asked, says):
     image = render(LENS, shown, looking_at_board(shown, 0.5, 8, offset=(offset, 0.0)), oversample=3)
@@ -155,12 +154,11 @@ def scene(distance, tilt, board=FLOOR_BOARD, turn=10, blur=0.6):
     return render(FLOOR_LENS, board, T, blur=blur, oversample=4), true_corners(FLOOR_LENS, board, T)
 
 
-@pytest.mark.parametrize("model", [None, FLOOR_LENS])
 @pytest.mark.parametrize(("distance", "tilt", "error_px"), [(1.5, 20, 6.0), (3.0, 75, 2.0), (3.5, 79, 1.2)])
-def test_roughly_given_corners_lead_to_all_exact_ones(model, distance, tilt, error_px):
+def test_roughly_given_corners_lead_to_all_exact_ones(distance, tilt, error_px):
     image, truth = scene(distance, tilt)
     rough = truth[OUTER] + np.random.default_rng(1).uniform(-error_px, error_px, (4, 2))
-    detection = find_from_outer_corners(image, FLOOR_BOARD, rough, model=model, camera="cam", frame_index=3)
+    detection = find_from_outer_corners(image, FLOOR_BOARD, rough, camera="cam", frame_index=3)
     assert (detection.camera, detection.frame_index) == ("cam", 3)
     assert len(detection) >= 27
     assert np.sqrt(np.mean((detection.pixels - truth[detection.ids]) ** 2)) < 0.15

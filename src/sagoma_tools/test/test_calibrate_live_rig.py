@@ -66,7 +66,7 @@ def test_floor_and_carried_board_are_seen_live_in_common_frames(published, link,
         published.carried = "Carry" in what
 
     sources = LiveSources(link.node, ("cam01", "cam02", "cam03"), (), True, ask, threading.Event())
-    floor = sources.detect_floor(BOARD, CAMERAS, {})
+    floor = sources.detect_floor(BOARD, {})
     moving = sources.detect_moving(BOARD, CAMERAS)
     assert [what.split()[0] for what in asked] == ["Lay", "Carry"]
     assert all(len(seen.detections) == seen.examined for seen in floor.values())

@@ -184,17 +184,17 @@ def _board(mapping: Mapping[str, Any], where: str) -> Board:
     if not isinstance(kind, str) or kind not in KEYS:
         remedy = f"Give one of {', '.join(KEYS)}."
         raise InputError(f"type = {kind!r} is not a type of board", where=where, remedy=remedy)
-    given = {"field_m" if key == "square_m" and kind == "checkerboard" else key: mapping[key] for key in mapping}
+    mapping = {"field_m" if key == "square_m" and kind == "checkerboard" else key: mapping[key] for key in mapping}
     needed, optional = KEYS[kind]
-    if missing := sorted(needed - set(given)):
+    if missing := sorted(needed - set(mapping)):
         raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=EXAMPLES)
-    if unknown := sorted(map(str, set(given) - needed - optional - {"type"})):
+    if unknown := sorted(map(str, set(mapping) - needed - optional - {"type"})):
         remedy = f"Known keys: {', '.join(sorted(needed | optional))}."
         raise InputError(f"key '{unknown[0]}' is not known for a {kind}", where=where, remedy=remedy)
     counts, lengths = (MIN_CORNERS, MAX_CORNERS, int), (MIN_FIELD_M, MAX_FIELD_M, int | float)
-    columns, rows = (_number(given[key], key, where, *counts) for key in ("columns", "rows"))
+    columns, rows = (_number(mapping[key], key, where, *counts) for key in ("columns", "rows"))
     if kind == "checkerboard":
-        field = given["field_m"]
+        field = mapping["field_m"]
         sides = field if isinstance(field, list | tuple) and len(field) == 2 else [field] * 2
         width, height = (float(_number(side, "field_m", where, *lengths)) for side in sides)
         if columns == rows and columns % 2 == 0:
@@ -202,8 +202,8 @@ def _board(mapping: Mapping[str, Any], where: str) -> Board:
             remedy = f"Use one with an odd and an even number, or cover a row of fields: {columns} x {rows - 1}."
             raise InputError(what, where=where, remedy=remedy)
         return Checkerboard(columns, rows, (width, height))
-    square, marker = (float(_number(given[key], key, where, *lengths)) for key in ("square_m", "marker_m"))
-    legacy, name, markers = given.get("legacy", False), given["dictionary"], columns * rows // 2
+    square, marker = (float(_number(mapping[key], key, where, *lengths)) for key in ("square_m", "marker_m"))
+    legacy, name, markers = mapping.get("legacy", False), mapping["dictionary"], columns * rows // 2
     known = sorted(key for key in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_\d+|ARUCO_\w+|APRILTAG_\w+)", key))
     if name not in known:
         remedy = f"Known are {', '.join(known)}."

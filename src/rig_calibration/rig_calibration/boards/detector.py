@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, Checkerboard, TargetDetection, board_text, opencv_board
@@ -132,10 +131,9 @@ def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tup
 
 @dataclass(frozen=True, eq=False)
 class FlatBoard:
-    """How a flat board appears: through the lens ``model`` (pose: identity) where it is known, else as a pinhole."""
+    """How a flat board appears to a pinhole."""
 
     board: Board
-    model: CameraModel | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -150,17 +148,11 @@ class FlatBoard:
 
     def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
         """Return all corners (rows, columns, 2) of the board most of whose corners ``ids`` lie at ``pixels``."""
-        places, ideal = self.board.corners_board[:, :2], pixels
-        if self.model is not None:  # OpenCV takes differences below 1e-6 for none
-            ideal = 1000.0 * self.model.ideal_points(pixels)
-        known = np.isfinite(ideal).all(axis=1)
-        homography = cv2.findHomography(places[ids][known], ideal[known], cv2.LMEDS)[0] if known.sum() >= 4 else None
+        places = self.board.corners_board[:, :2]
+        homography = cv2.findHomography(places[ids], pixels, cv2.LMEDS)[0]
         if homography is None:
             return np.full((*self.shape, 2), np.nan)
-        there: Array = cv2.perspectiveTransform(places[:, None], homography).reshape(-1, 2).astype(float)
-        if self.model is not None:
-            there = self.model.project(np.column_stack([there / 1000.0, np.ones(len(there))]))
-        return there.reshape(*self.shape, 2)
+        return np.asarray(cv2.perspectiveTransform(places[:, None], homography), float).reshape(*self.shape, 2)
 
 
 def followed(image: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], corners: Array) -> CornerGrid:

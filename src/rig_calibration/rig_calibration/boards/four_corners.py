@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
@@ -28,15 +25,12 @@ def find_from_outer_corners(
     camera: str = "",
     frame_index: int = 0,
     target: str = "",
-    model: CameraModel | None = None,
 ) -> TargetDetection:
     """Find the board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, up to 6 pixels or half a field
     off: in any order where the board's colours tell which way round it lies; else in the print's reading order: first,
     end of the first row, last, start of the last row.
 
-    ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
-    the right places then. The detection holds the corners that the image shows, to a part of a pixel. InputError when
-    there is no such board.
+    The detection holds the corners that the image shows, to a part of a pixel. InputError when there is no such board.
     """
     where = f"camera '{camera}', frame {frame_index}" if camera else ""
     grey, outer = as_grey(image), np.asarray(outer_px, float)
@@ -44,7 +38,7 @@ def find_from_outer_corners(
         raise InputError(
             f"four corners (x, y) in pixels are needed, not {np.shape(outer_px)}", where=where, remedy=ORDER
         )
-    view = FlatBoard(board, None if model is None else replace(model, T_camera_world=np.eye(4)))
+    view = FlatBoard(board)
     colours_tell, orders = sum(view.shape) % 2 == 1, [outer]
     if colours_tell:  # clockwise as seen; which of them is the first is settled below
         away = outer - outer.mean(axis=0)

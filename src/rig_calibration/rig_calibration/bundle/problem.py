@@ -67,15 +67,15 @@ def check_problem(
 
 # --- Targets.
 
-LINE, PLANE, VOLUME = 1, 2, 3
-THIN = 0.02  # of the target's length: points that spread less across lie, in effect, on a line; out of it, on a plane
+LINE, PLANE = 1, 2
+THIN = 0.02  # of the target's length: points that spread less across lie, in effect, on a line
 
 
 @dataclass(frozen=True, eq=False)
 class TargetShape:
     """Points (n, 3) of a rigid target about their ``centroid`` (3,), metres, target frame.
 
-    ``dimension`` is LINE, PLANE or VOLUME. ``bend`` (n, 2): how far a corner stands out along z where the middle does
+    ``dimension`` is LINE or PLANE. ``bend`` (n, 2): how far a corner stands out along z where the middle does
     by one metre, for a sheet that is bent along x and along y. ``ways`` (1 or 2, 3, 3): the identity and, where it maps
     the points onto themselves in reverse order, half a turn: the ways round that a picture does not tell apart.
     """
@@ -97,8 +97,8 @@ def target_shape(name: str, points_target: npt.ArrayLike, looks_alike: bool = Fa
     points = np.asarray(points_target, float)
     centred = points - points.mean(0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
-    dimension = max(int(np.sum(spread > THIN * spread[0])), 1)
-    axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
+    dimension = PLANE if spread[1] > THIN * spread[0] else LINE
+    axis = axes[dimension]  # of a line: any axis across it
     ways = rotation_matrix(np.pi * np.arange(1 + looks_alike)[:, None] * axis)
     bend = 1.0 - (centred[:, :2] / np.maximum(np.abs(centred[:, :2]).max(axis=0), 1e-300)) ** 2
     return TargetShape(name, centred, points.mean(0), bend, dimension, ways)
@@ -116,7 +116,6 @@ def shapes_of(targets: Mapping[str, npt.ArrayLike], alike: Collection[str] = ())
 # that looks alike after half a turn doubles them. All are kept until other cameras or frames tell.
 
 MIN_CORNERS = 4
-SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,17 +146,16 @@ def poses_of(
     points, ideal = shape.points[ids[reached]], ideal[reached]
     if shape.dimension == LINE or len(points) < MIN_CORNERS:
         return None
-    longest, across, out = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    longest, across, _ = np.linalg.svd(points - points.mean(0), compute_uv=False)
     if across < THIN * longest:
         return None
     focal_px = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    found = _planar(points, ideal) if out < THIN * longest else _spatial(points, ideal)
-    refined = [_refine(points, ideal, R, t) for R, t in found]
+    refined = [_refine(points, ideal, R, t) for R, t in _planar(points, ideal)]
     scored = [(_rms(points, ideal, R, t) * focal_px, R, t) for R, t in refined if np.all(points @ R[2] + t[2] > 0)]
-    distinct = _distinct(sorted(scored, key=lambda one: one[0]))
-    if not distinct:
+    if not scored:
         return None
-    rms, R, t = (np.array(column) for column in zip(*distinct, strict=True))
+    scored.sort(key=lambda one: one[0])
+    rms, R, t = (np.array(column) for column in zip(*scored, strict=True))
     ways, each = shape.ways, len(rms)
     return DetectionPoses(
         (R @ ways[:, None].swapaxes(-1, -2)).reshape(-1, 3, 3),
@@ -182,12 +180,6 @@ def _planar(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
     return [(R, t) for R, t in found if np.isfinite(R).all() and np.isfinite(t).all()]
 
 
-def _spatial(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
-    found, rotations, translations, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
-    solutions = zip(rotations, translations, strict=True) if found else ()
-    return [(rotation_matrix(np.ravel(vector)), np.ravel(translation)) for vector, translation in solutions]
-
-
 def _refine(points: Array, ideal: Array, R: Array, t: Array) -> tuple[Array, Array]:
     vector, translation = cv2.solvePnPRefineLM(points, ideal, np.eye(3), None, cv2.Rodrigues(R)[0], t.reshape(3, 1))
     return rotation_matrix(np.ravel(vector)), np.ravel(translation)
@@ -196,14 +188,6 @@ def _refine(points: Array, ideal: Array, R: Array, t: Array) -> tuple[Array, Arr
 def _rms(points: Array, ideal: Array, R: Array, t: Array) -> float:
     seen = points @ R.T + t
     return float(np.sqrt(np.mean(np.sum((seen[:, :2] / seen[:, 2:] - ideal) ** 2, axis=1))))
-
-
-def _distinct(scored: list[tuple[float, Array, Array]]) -> list[tuple[float, Array, Array]]:
-    kept: list[tuple[float, Array, Array]] = []
-    for one in scored:
-        if all(np.trace(one[1].T @ other[1]) < 1 + 2 * np.cos(SAME_POSE) for other in kept):
-            kept.append(one)
-    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,16 +213,10 @@ class View:
 def views_of(
     detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
 ) -> list[View]:
-    """Make the views of all detections, in their order; all corners of a camera go through its lens at once."""
-    undistorted: dict[int, Array] = {}
-    for name, camera in cameras.items():
-        rows = [row for row, detection in enumerate(detections) if detection.camera == name]
-        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
-        ends = np.cumsum([len(detections[row]) for row in rows])[:-1]
-        undistorted |= zip(rows, np.split(corners, ends), strict=bool(rows))
+    """Make the views of all detections, in their order."""
     views = []
-    for row, detection in enumerate(detections):
-        shape, ideal = shapes[detection.target], undistorted[row]
-        poses = poses_of(detection.ids, ideal, cameras[detection.camera], shape)
-        views.append(View(detection, shape, ideal, poses))
+    for detection in detections:
+        shape, camera = shapes[detection.target], cameras[detection.camera]
+        ideal = camera.ideal_points(detection.pixels)
+        views.append(View(detection, shape, ideal, poses_of(detection.ids, ideal, camera, shape)))
     return views

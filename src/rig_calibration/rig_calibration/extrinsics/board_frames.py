@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from typing import Literal
 
 import numpy as np
@@ -86,14 +87,13 @@ def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> t
             f"no camera shows the board in frame {frame_index}",
             remedy=f"Name a frame that does, from {min(groups)} to {max(groups)}.",
         )
-    frames = list(groups)
-    here = frames.index(frame_index)
-    first = last = here
-    while first > 0 and _rests(groups[frames[first - 1]], groups[frame_index]):
-        first -= 1
-    while last + 1 < len(frames) and _rests(groups[frames[last + 1]], groups[frame_index]):
-        last += 1
-    return tuple(frames[first : last + 1])
+
+    def rests(frame: int) -> bool:
+        return _rests(groups[frame], groups[frame_index])
+
+    before = takewhile(rests, [frame for frame in reversed(groups) if frame < frame_index])
+    after = takewhile(rests, [frame for frame in groups if frame > frame_index])
+    return tuple(sorted([*before, frame_index, *after]))
 
 
 def lying_frames(
@@ -139,20 +139,17 @@ LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels a
 def average_still_board(detections: Sequence[TargetDetection], board: Board) -> TargetDetection:
     """Average one camera's ``detections`` of a board that lies still, as one of FLOOR.
 
-    The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
-    corner's frames that stray from the median (a hand at its edge) are left out. Needs one detection or more.
+    A corner's frames that stray from the median (a hand at its edge, a board that was moved) are left out. Needs one
+    detection or more.
     """
     ordered = sorted(detections, key=lambda detection: detection.frame_index)
     pixels = _table(ordered, len(board.corners_board), board.half_turn_is_visible)  # (F, N, 2)
-    near = np.array([[_distance(one, other) <= SAME_PLACE_PX for other in pixels] for one in pixels])
-    together = near[near.sum(axis=1).argmax()]
-    chosen, least = pixels[together], max(1.0, MIN_SHARE * together.sum())
-    ids = np.flatnonzero(np.isfinite(chosen[..., 0]).sum(axis=0) >= least)
-    apart = np.linalg.norm(chosen[:, ids] - np.nanmedian(chosen[:, ids], axis=0), axis=2)
-    good = apart <= SAME_PLACE_PX  # NaN is not
+    least = max(1.0, MIN_SHARE * len(ordered))
+    ids = np.flatnonzero(np.isfinite(pixels[..., 0]).sum(axis=0) >= least)
+    good = np.linalg.norm(pixels[:, ids] - np.nanmedian(pixels[:, ids], axis=0), axis=2) <= SAME_PLACE_PX  # NaN is not
     count = good.sum(axis=0)
-    mean = np.where(good[..., None], chosen[:, ids], 0.0).sum(axis=0) / np.maximum(count, 1)[:, None]
-    single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
+    mean = np.where(good[..., None], pixels[:, ids], 0.0).sum(axis=0) / np.maximum(count, 1)[:, None]
+    single = float(np.median([detection.sigma_px for detection in ordered]))
     sigma = float(np.hypot(single / np.sqrt(np.median(count)), LASTING_PX))
     kept = count >= least
     return replace(ordered[0], frame_index=0, target=FLOOR, ids=ids[kept], pixels=mean[kept], sigma_px=sigma)

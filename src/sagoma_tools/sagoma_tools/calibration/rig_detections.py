@@ -85,15 +85,13 @@ CamerasDetections = dict[str, CameraDetections]
 """By the cameras' names."""
 
 
-def find_floor(footage: Mapping[str, Footage], board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
+def find_floor(footage: Mapping[str, Footage], board: Board, corners: Corners) -> CamerasDetections:
     """Find the board on the floor in each camera's footage, from the given ``corners`` where they name the camera."""
 
     def find(name: str, image: Picture, frame_index: int) -> TargetDetection | None:
         if name in corners:
             given = corners[name].pixels
-            return find_from_outer_corners(
-                image, board, given, camera=name, frame_index=frame_index, target=FLOOR, model=cameras[name]
-            )
+            return find_from_outer_corners(image, board, given, camera=name, frame_index=frame_index, target=FLOOR)
         return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
 
     only = {name: given.frame for name, given in corners.items()}
@@ -156,8 +154,8 @@ class FootageSources:
             {name: clip for name, clip in clips.items() if name in self.names} for clips in every
         )
 
-    def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
-        return find_floor(self._floor, board, cameras, corners)
+    def detect_floor(self, board: Board, corners: Corners) -> CamerasDetections:
+        return find_floor(self._floor, board, corners)
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         def find(name: str, image: Picture, frame_index: int) -> TargetDetection | None:

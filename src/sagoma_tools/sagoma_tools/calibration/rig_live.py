@@ -144,10 +144,10 @@ class LiveSources:
         self.names = tuple(sorted(self._topics))
         self._node, self._carried, self._ask, self._stop = node, carried, ask, stop
 
-    def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
+    def detect_floor(self, board: Board, corners: Corners) -> CamerasDetections:
         self._ask("Lay the board on the floor, print upwards, and leave it")
         shots = grab(self._node, self._topics, FLOOR_SHOTS)
-        return find_floor({name: shots[name] for name in sorted(cameras)}, board, cameras, corners)
+        return find_floor(shots, board, corners)
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         if not self._carried:
