@@ -24,15 +24,7 @@ from sagoma_ros.messages import values_of
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..graph.topics import camera_topics
-from ..recording.reader import (
-    METADATA,
-    SIDECAR_RIG,
-    bag_persons,
-    frame_tolerance_ns,
-    read_messages,
-    read_provenance,
-    rig_in,
-)
+from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
 
 if TYPE_CHECKING:  # bags are read without it
@@ -212,7 +204,7 @@ def frame_count(session: Session) -> int:
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is a bag's folder or file."""
-    return path.suffix in SUFFIXES or (path / METADATA).is_file() or any(path.glob("*.mcap"))
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file() or any(path.glob("*.mcap"))
 
 
 def session_of_bag(bag: Path) -> Session:
