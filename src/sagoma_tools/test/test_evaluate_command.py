@@ -2,33 +2,22 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
 from take_bags import EPOCH_NS as FIRST_NS
 from take_bags import PERIOD_NS, write_take
 
 from capture_rig.errors import InputError
-from capture_rig.session import load_session
-from ekf_tracker.state_ros import state_message
 from icp_tracker.extrinsic_monitor import ExtrinsicErrors
 from icp_tracker.people.people_tracker import PeopleTracker
 from mocap_packets.fit import DOUBTFUL, PART_NAMES
-from mocap_packets.state import BodyState
-from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import TrackingStage
-from sagoma_bringup.launch_arguments import start_settings
-from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
-from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, ROWS, THESIS, track_people
+from sagoma_tools.evaluation.in_process import OURS, ROWS, THESIS
 from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
-from stick_figure.skeleton import ANGLE_NAMES
 
 FRAMES = 12
 DOUBT = ("flagged_of_bad", "false_alarms", "identity_switches")
@@ -119,49 +108,8 @@ def test_a_bag_holds_a_track_of_each_person(live, capsys):
     tracks = tracks_from_bag(bag, lambda stamp_ns: (stamp_ns - FIRST_NS) // PERIOD_NS)
     found = [(person, int(track.frames[0]), len(track)) for person, track in tracks.items()]
     assert found == [(1, 4, 36), (3, 4, 36), (5, 4, 36)]  # anna is of no number of ours
+    assert tracks[1].parts[:3, LEFT_ARM].tolist() == [DOUBTFUL, DOUBTFUL, ""]
     places = [track.points_world[0, 0, 0] for track in tracks.values()]
     assert places == pytest.approx([places[0], places[0] + 1.0, places[0] + 2.0])
     figures = evaluated(capsys, bag, "--json")
     assert figures["tracked"] == 36 and "persons" not in figures  # there is no truth of several persons
-
-
-def publish(bag, state):
-    """What the EKF node publishes of the first person after a set."""
-    messages = {"/mocap/state": state_message(state, "/ekf_tracker")}
-    if isinstance(state, BodyState):
-        messages["/mocap/reference_points"] = packet_cloud(state.reference_points, state.stamp_ns, "map")
-        angles = joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, "map")
-        messages["/mocap/joint_states"] = angles
-    for topic, message in messages.items():
-        bag.write(topic, state.stamp_ns, serialize_message(message))
-
-
-@pytest.mark.slow
-def test_bag_and_session_evaluate_alike(tour, tmp_path, monkeypatch):
-    """A person an arm of whom is doubtful for a while, in process and read back from what the graph publishes."""
-    session, answers, step = load_session(tour), [], TrackingStage.step
-
-    def stepped(self, products):
-        """Four frames in which the left arm is not believed, whatever it looks like."""
-        answer = step(self, products)
-        if answer.state is not None and 6 <= len(answers) < 10:
-            doubtful = np.isin(np.arange(15), [7, 11])  # its elbow and hand
-            people = (replace(answer.people[0], answer=replace(answer.state, doubtful=doubtful)),)
-            answer = replace(answer, people=people)
-        answers.append(answer.answer)
-        return answer
-
-    monkeypatch.setattr(TrackingStage, "step", stepped)
-    configuration = Configuration.of({**start_settings(session, "session"), "hull_server.backend": "cpu"})
-    in_process = track_people(session, {OURS: configuration}, exact_masks=True)[OURS][1]
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/mocap/state", "diagnostic_msgs/msg/DiagnosticStatus")
-        bag.add_topic("/mocap/reference_points", "sensor_msgs/msg/PointCloud2")
-        bag.add_topic("/mocap/joint_states", "sensor_msgs/msg/JointState")
-        for answer in answers:
-            publish(bag, answer)
-    read = tracks_from_bag(tmp_path / "bag", lambda stamp_ns: round((stamp_ns - EPOCH_NS) * 1e-9 * session.fps))[1]
-    assert len(answers) == FRAMES and (in_process.parts[6:10, LEFT_ARM] == DOUBTFUL).all()
-    for name in ("frames", "states", "parts"):
-        assert np.array_equal(getattr(read, name), getattr(in_process, name))
-    np.testing.assert_allclose(read.points_world, in_process.points_world, atol=1e-6)
