@@ -23,9 +23,9 @@ from mocap_packets.state import BodyState, Tracking
 from sagoma_ros.messages import values_of
 from stick_figure.skeleton import ANGLE_NAMES
 
-from ..graph.topics import camera_topics
+from ..graph.topics import FIRST_BODY_ID, camera_topics
 from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance, rig_in
-from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
+from ..recording.recorded_motion import ANGLES, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
 
 if TYPE_CHECKING:  # bags are read without it
     from mocap_pipeline.pipeline import Step
@@ -121,7 +121,7 @@ def tracks_from_bag(
     Raises InputError when the first person has none, unless it ``may_be_empty``.
     """
     rows = read_person_rows(bag, (POINTS, ANGLES, STATE))
-    tracks = {FIRST_PERSON: Track.of_rows(rows[FIRST], frame_of_stamp)}
+    tracks = {FIRST_PERSON: Track.of_rows(rows[FIRST_BODY_ID], frame_of_stamp)}
     if not (len(tracks[FIRST_PERSON]) or may_be_empty):
         what, reasons = "holds no tracked body", reasons_of_bag(bag)
         if any(reasons):
