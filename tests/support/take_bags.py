@@ -94,7 +94,8 @@ def person(body: Body, place_world: Sequence[float], stamp: int, state: str) -> 
     place, turn = torso.pose.pose.position, torso.pose.pose.orientation
     place.x, place.y, place.z = pose.position_world
     turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(pose.R_world_torso).as_quat()
-    status = DiagnosticStatus(message=state, values=[KeyValue(key="stamp_ns", value=str(stamp))])
+    said = {"stamp_ns": str(stamp), **({"left arm": state} if state == "doubtful" else {})}
+    status = DiagnosticStatus(message=state, values=[KeyValue(key=key, value=value) for key, value in said.items()])
     angles = joint_state_message(ANGLE_NAMES, T_POSE_ANGLES, np.zeros(18), stamp)
     return packet_cloud(points, stamp, "map"), angles, torso, status
 

@@ -1,8 +1,10 @@
-"""``sagoma evaluate`` from the footage to the line of JSON, on a short session of the virtual studio."""
+"""``sagoma evaluate`` from the footage to the line of JSON, on a short session of the virtual studio; why nobody was
+tracked; the rows of the ablation."""
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,22 +15,21 @@ from take_bags import EPOCH_NS as FIRST_NS
 from take_bags import PERIOD_NS, write_take
 
 from capture_rig.errors import InputError
-from capture_rig.session import load_session
-from ekf_tracker.people_ros import state_message
+from capture_rig.session import Session
 from icp_tracker.extrinsic_monitor import ExtrinsicErrors
+from icp_tracker.icp_node import fit_message
 from icp_tracker.people.people_tracker import PeopleTracker
-from mocap_packets.fit import DOUBTFUL, PART_NAMES
-from mocap_packets.state import BodyState
+from icp_tracker.tracker import fits_nothing
+from mocap_packets.fit import DOUBTFUL, PART_NAMES, Fit
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import TrackingStage
+from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
+from mocap_pipeline.session_footage import exact_silhouettes
 from sagoma_bringup.launch_arguments import start_settings
-from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
-from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, ROWS, THESIS, track_people
-from sagoma_tools.evaluation.track import tracks_from_bag
+from sagoma_tools.evaluation.in_process import OURS, PARTS, ROWS, THESIS, ablation_rows, track_people, track_session
+from sagoma_tools.evaluation.track import explain, rank_reasons, reasons_of_bag, tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
-from stick_figure.skeleton import ANGLE_NAMES
 
 FRAMES = 12
 DOUBT = ("flagged_of_bad", "false_alarms", "identity_switches")
@@ -119,49 +120,124 @@ def test_a_bag_holds_a_track_of_each_person(live, capsys):
     tracks = tracks_from_bag(bag, lambda stamp_ns: (stamp_ns - FIRST_NS) // PERIOD_NS)
     found = [(person, int(track.frames[0]), len(track)) for person, track in tracks.items()]
     assert found == [(1, 4, 36), (3, 4, 36), (5, 4, 36)]  # anna is of no number of ours
+    assert tracks[1].parts[:3, LEFT_ARM].tolist() == [DOUBTFUL, DOUBTFUL, ""]
     places = [track.points_world[0, 0, 0] for track in tracks.values()]
     assert places == pytest.approx([places[0], places[0] + 1.0, places[0] + 2.0])
     figures = evaluated(capsys, bag, "--json")
     assert figures["tracked"] == 36 and "persons" not in figures  # there is no truth of several persons
 
 
-def publish(bag, state):
-    """What the EKF node publishes of the first person after a set."""
-    messages = {"/mocap/state": state_message(state, "/ekf_tracker")}
-    if isinstance(state, BodyState):
-        messages["/mocap/reference_points"] = packet_cloud(state.reference_points, state.stamp_ns, "map")
-        angles = joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, "map")
-        messages["/mocap/joint_states"] = angles
-    for topic, message in messages.items():
-        bag.write(topic, state.stamp_ns, serialize_message(message))
+# --- why nobody was tracked
+
+WATCHED = "somebody is here: watched for {:.1f} of 1.0 s"
+BELOW = "cam02 does not see your feet: step 0.4 m away from cam02"
 
 
-@pytest.mark.slow
-def test_bag_and_session_evaluate_alike(tour, tmp_path, monkeypatch):
-    """A person an arm of whom is doubtful for a while, in process and read back from what the graph publishes."""
-    session, answers, step = load_session(tour), [], TrackingStage.step
+def test_reasons_that_differ_in_numbers_are_one_with_the_numbers_of_a_typical_set():
+    sets = [(WATCHED.format(0.1 * k),) for k in range(5)] + [("no hull",)] * 2
+    assert rank_reasons(sets) == [(WATCHED.format(0.2), 5), ("no hull", 2)]
 
-    def stepped(self, products):
-        """Four frames in which the left arm is not believed, whatever it looks like."""
-        answer = step(self, products)
-        if answer.state is not None and 6 <= len(answers) < 10:
-            doubtful = np.isin(np.arange(15), [7, 11])  # its elbow and hand
-            people = (replace(answer.people[0], answer=replace(answer.state, doubtful=doubtful)),)
-            answer = replace(answer, people=people)
-        answers.append(answer.answer)
-        return answer
 
-    monkeypatch.setattr(TrackingStage, "step", stepped)
-    configuration = Configuration.of({**start_settings(session, "session"), "hull_server.backend": "cpu"})
-    in_process = track_people(session, {OURS: configuration}, exact_masks=True)[OURS][1]
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/mocap/state", "diagnostic_msgs/msg/DiagnosticStatus")
-        bag.add_topic("/mocap/reference_points", "sensor_msgs/msg/PointCloud2")
-        bag.add_topic("/mocap/joint_states", "sensor_msgs/msg/JointState")
-        for answer in answers:
-            publish(bag, answer)
-    read = tracks_from_bag(tmp_path / "bag", lambda stamp_ns: round((stamp_ns - EPOCH_NS) * 1e-9 * session.fps))[1]
-    assert len(answers) == FRAMES and (in_process.parts[6:10, LEFT_ARM] == DOUBTFUL).all()
-    for name in ("frames", "states", "parts"):
-        assert np.array_equal(getattr(read, name), getattr(in_process, name))
-    np.testing.assert_allclose(read.points_world, in_process.points_world, atol=1e-6)
+def test_the_number_in_a_cameras_name_is_none_but_the_way_to_step_may_differ():
+    sets = [
+        (BELOW,),
+        (BELOW.replace("cam02 does", "cam03 does"),),
+        (BELOW.replace("0.4 m away from", "0.7 m towards"),),
+    ]
+    assert [count for _, count in rank_reasons(sets)] == [2, 1]
+
+
+def test_the_most_frequent_reasons_are_said():
+    sets = [(WATCHED.format(0.5),)] * 9 + [("nobody upright",)] * 2 + [("anything",), ("no hull",)]
+    said = f'of 13 frame sets the tracker said "{WATCHED.format(0.5)}" in 9, "nobody upright" in 2, "anything" in 1'
+    assert explain(sets) == said
+    assert explain([()] * 4) == "of 4 frame sets the tracker said nothing"
+
+
+def write_bag(folder: Path, fits: list[Fit]) -> Path:
+    with BagWriter(folder) as bag:
+        bag.add_topic("/icp/fit", "diagnostic_msgs/msg/DiagnosticArray")
+        for fit in fits:
+            bag.write("/icp/fit", fit.stamp_ns, serialize_message(fit_message((fit,), "articulated")))
+    return folder
+
+
+def test_a_bag_tells_the_same_reasons(tmp_path):
+    bag = write_bag(tmp_path / "bag", [fits_nothing(k, WATCHED.format(0.1 * k)) for k in range(1, 4)])
+    assert reasons_of_bag(bag, lambda stamp_ns: stamp_ns > 1) == [(WATCHED.format(0.2),), (WATCHED.format(0.3),)]
+    with pytest.raises(InputError, match=r'of 3 frame sets the tracker said "somebody .* watched for 0\.2 of .* in 3'):
+        tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
+
+
+def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
+    fit = fits_nothing(1, "")
+    tracked = Fit(1, "tracking", "own", "", 0, fit.reference_points_world, fit.covariance, fit.visible, None, None)
+    bag = write_bag(tmp_path / "bag", [tracked])
+    assert reasons_of_bag(bag) == [()]
+    with pytest.raises(InputError, match="Record /mocap/reference_points"):
+        tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
+
+
+def test_evaluate_ends_with_the_reasons_of_a_session_in_which_nobody_is_found(tour, capsys):
+    settings = ("hull_server.backend=cpu", "icp_tracker.initial_pose.t_pose.stature_high_m=1.4")
+    arguments = ["--exact-masks", "--json", *(word for one in settings for word in ("--set", one))]
+    assert main(["evaluate", str(tour), *arguments]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "no body was found in any frame: of 12 frame sets the tracker said" in said
+
+
+# --- the rows of the ablation
+
+
+def started(session: Session, **changes) -> Configuration:
+    settings = {**start_settings(session, "session"), "hull_server.backend": "cpu"}
+    return replace(Configuration.of(settings), **changes)
+
+
+def differing(a, b, prefix="") -> set[str]:
+    """Dotted names of the settings in which two configurations differ."""
+    if type(a) is not type(b) or not hasattr(a, "__dataclass_fields__"):
+        return set() if a == b else {prefix}
+    found = [differing(getattr(a, f.name), getattr(b, f.name), f"{prefix}.{f.name}".lstrip(".")) for f in fields(a)]
+    return set().union(*found)
+
+
+def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
+    settings = {"icp_tracker.refinement.keyframes": 20}
+    rows = ablation_rows(settings)
+    assert tuple(rows) == ROWS
+    assert differing(rows[OURS], Configuration.of(settings)) == set()
+    first = rows[THESIS]
+    assert (first.icp.method, first.ekf.motion_model, first.feedback) == ("hierarchical", "identity", False)
+    assert first.icp.refinement.keyframes == 20
+
+
+def test_every_row_adds_exactly_one_part():
+    for (before, after), without in zip(pairwise(ablation_rows({}).values()), PARTS.values(), strict=True):
+        switched = {key.replace("icp_tracker.", "icp.").replace("ekf_tracker.", "ekf.") for key in without}
+        assert differing(before, after) == switched
+
+
+def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one_carving(toured, monkeypatch):
+    alone = track_session(toured, started(toured), exact_masks=True)
+    carved = []
+    carve = MocapPipeline.carve_set
+    monkeypatch.setattr(MocapPipeline, "carve_set", lambda *args: carved.append(args[1].stamp_ns) or carve(*args))
+    both = {"a": started(toured), "b": started(toured, feedback=False)}
+    beside = {name: people[1] for name, people in track_people(toured, both, exact_masks=True).items()}
+    assert len(carved) == len(set(carved)) == 12
+    assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
+    assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
+
+
+def test_without_feedback_every_fit_starts_from_the_fit_before(toured):
+    graph = MocapPipeline(toured.rig, started(toured))
+    closed, opened = graph.body, TrackingStage.of(started(toured, feedback=False))
+    starts: dict[str, list[str]] = {"closed": [], "opened": []}
+    for frame, masks in enumerate(exact_silhouettes(toured)):
+        clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)
+        starts["closed"].append(closed.step(clouds).fit.started_from)
+        starts["opened"].append(opened.step(clouds).fit.started_from)
+    assert starts["opened"][1:] == ["own"] * 11
+    assert starts["closed"][1] == "1000000000"
+    assert "own" not in starts["closed"]

@@ -5,7 +5,7 @@ import pytest
 from evaluation_tracks import track_of, truth_of, walker
 
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES
-from sagoma_tools.evaluation.scores import PartCalls, score
+from sagoma_tools.evaluation.scores import score
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import changes, main_track, score_people
 
@@ -99,14 +99,6 @@ def test_shares_are_those_of_flags_set_by_hand():
 def test_shares_of_nothing_are_null(error_m, false_alarms):
     figures = score(track_of(off(TEN, np.full((10, 15), error_m))), truth_of(TEN)).figures()
     assert (figures["flagged_of_bad"], figures["false_alarms"]) == (None, false_alarms)
-
-
-def test_a_frame_with_an_unknown_point_is_not_clear_but_may_hold_a_wrong_part():
-    errors_mm = np.zeros((2, 15))
-    errors_mm[0, LEFT_HAND], errors_mm[:, RIGHT_FOOT] = 300.0, np.nan
-    calls = PartCalls.of(errors_mm, np.full((2, 5), DOUBTFUL))
-    assert calls.wrong[0].tolist() == [part == LEFT_ARM for part in range(5)]
-    assert not calls.clear.any() and calls.flagged_of_bad == 1.0
 
 
 def test_several_truths_give_a_record_a_person_and_their_mean():

@@ -148,15 +148,6 @@ def test_nees_of_honest_noise_is_three_and_four_times_that_where_a_point_claims_
     np.testing.assert_allclose(share_below(INSIDE_95, nees, 0), inside, atol=0.03)
 
 
-def test_unknown_errors_do_not_count_and_certainty_counts_as_outside():
-    errors, P = np.full((4, 15, 3), 0.01), np.tile(np.eye(3) * 1e-4, (4, 15, 1, 1))
-    errors[:3, 0] = np.nan
-    P[:, 1] = 0.0
-    nees = nees_of(errors, P)
-    np.testing.assert_allclose(mean_of_known(nees, 0)[:3], [3.0, np.inf, 3.0])
-    assert share_below(INSIDE_95, nees, 0)[1] == 0.0
-
-
 # --- jitter and time to track
 
 

@@ -42,19 +42,12 @@ class StudioProcess:
 
     def __init__(self, folder: str | Path, *arguments: str) -> None:
         self.folder = Path(folder)
+        self.rig, self.cameras = self.folder / RIG_FILE, self.folder / CAMERA_FOLDER
         self._arguments = arguments
         # the name of a Unix socket has at most 107 bytes, less than some folders' names
         self._sockets = tempfile.TemporaryDirectory(prefix="sagoma_studio_")
         self._control = Path(self._sockets.name) / "control"
         self._child: Child | None = None
-
-    @property
-    def rig(self) -> Path:
-        return self.folder / RIG_FILE
-
-    @property
-    def cameras(self) -> Path:
-        return self.folder / CAMERA_FOLDER
 
     @property
     def pid(self) -> int:
@@ -130,11 +123,10 @@ class FootageInput:
         return None
 
     def __enter__(self) -> Self:
-        """Start the processes that it runs."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End them."""
+        """Nothing: only other inputs run processes of their own."""
 
 
 class StudioInput(FootageInput):
@@ -145,7 +137,7 @@ class StudioInput(FootageInput):
 
     fps : of the cameras, in their time; the session's pictures change at the session's own rate.
     speed : of the cameras' time; below 1, slow motion, no frame set is left out.
-    trained : the clients have backgrounds already, from an earlier run in ``folder``. cancel : ends the start.
+    cancel : ends the start.
     """
 
     def __init__(
@@ -155,11 +147,10 @@ class StudioInput(FootageInput):
         fps: float,
         speed: float = 1.0,
         *,
-        trained: bool = False,
         cancel: threading.Event | None = None,
     ) -> None:
         super().__init__(session_folder, speed)
-        self._fps, self._trained, self._cancel = fps, trained, cancel
+        self._fps, self._cancel = fps, cancel
         self.clock = CaptureClock(speed)
         self.in_real_time = speed == 1
         address = free_first_address(len(self.session.rig.names))
@@ -178,8 +169,7 @@ class StudioInput(FootageInput):
         return build_graph(rig=self.studio.rig, cameras=self.studio.cameras, settings={**measured, **settings})
 
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        if not self._trained:
-            learn_backgrounds(supervisor)
+        learn_backgrounds(supervisor)
         self.studio.ask("hold")
         self.studio.ask("room", state="occupied")
         if self.in_real_time:

@@ -135,15 +135,15 @@ def run_studio(
     power of two, that it holds them all; and half of that again while sets are torn or not answered.
     """
     cancel = cancel or threading.Event()
-    chosen, speed, trained = speed is not None, speed or 1.0, False
+    chosen, speed = speed is not None, speed or 1.0
     while True:
-        studio = StudioInput(session_folder, output / "studio", fps, speed, trained=trained, cancel=cancel)
+        studio = StudioInput(session_folder, output / "studio", fps, speed, cancel=cancel)
         live = run_live(studio, output, cancel=cancel, **options)
         enough = live.is_whole and live.hz_held >= KEPT_UP * min(LEAST_HZ, fps)
         if chosen or cancel.is_set() or speed <= SLOWEST or enough:
             return live
         held = 2.0 ** math.floor(math.log2(max(live.hz_held / fps, SLOWEST)))
-        speed, trained = max(min(held, speed / 2), SLOWEST), True
+        speed = max(min(held, speed / 2), SLOWEST)
         doing(f"again, at {Fraction(speed)} of the speed: this machine does not hold the cameras' rate")
         shutil.rmtree(output / "bag", ignore_errors=True)
 

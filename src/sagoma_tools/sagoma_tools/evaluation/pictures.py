@@ -177,12 +177,8 @@ def _finish(figure: Figure, evaluated: TrackEvaluation, what: str, unit: str) ->
     for axis in figure.axes:
         axis.grid(alpha=0.3)
         entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.suptitle(_title(evaluated, what), x=0.01, ha="left")
+    mean = "" if evaluated.scores is None else f" (mean error {evaluated.scores.mean_mm:.1f} mm)"
+    figure.suptitle(f"{evaluated.session.folder.name}: {what}{mean}", x=0.01, ha="left")
     figure.supxlabel("time [s]", fontsize=10)
     figure.supylabel(unit, fontsize=10)
     figure.legend(list(entries.values()), list(entries), loc="outside upper right", ncols=len(entries), fontsize=9)
-
-
-def _title(evaluated: TrackEvaluation, what: str) -> str:
-    mean = "" if evaluated.scores is None else f" (mean error {evaluated.scores.mean_mm:.1f} mm)"
-    return f"{evaluated.session.folder.name}: {what}{mean}"

@@ -23,17 +23,9 @@ from mocap_packets.state import BodyState, Tracking
 from sagoma_ros.messages import values_of
 from stick_figure.skeleton import ANGLE_NAMES
 
-from ..graph.topics import camera_topics
-from ..recording.reader import (
-    METADATA,
-    SIDECAR_RIG,
-    bag_persons,
-    frame_tolerance_ns,
-    read_messages,
-    read_provenance,
-    rig_in,
-)
-from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
+from ..graph.topics import FIRST_BODY_ID, camera_topics
+from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance, rig_in
+from ..recording.recorded_motion import ANGLES, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
 
 if TYPE_CHECKING:  # bags are read without it
     from mocap_pipeline.pipeline import Step
@@ -129,7 +121,7 @@ def tracks_from_bag(
     Raises InputError when the first person has none, unless it ``may_be_empty``.
     """
     rows = read_person_rows(bag, (POINTS, ANGLES, STATE))
-    tracks = {FIRST_PERSON: Track.of_rows(rows[FIRST], frame_of_stamp)}
+    tracks = {FIRST_PERSON: Track.of_rows(rows[FIRST_BODY_ID], frame_of_stamp)}
     if not (len(tracks[FIRST_PERSON]) or may_be_empty):
         what, reasons = "holds no tracked body", reasons_of_bag(bag)
         if any(reasons):
@@ -212,7 +204,7 @@ def frame_count(session: Session) -> int:
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is a bag's folder or file."""
-    return path.suffix in SUFFIXES or (path / METADATA).is_file() or any(path.glob("*.mcap"))
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file() or any(path.glob("*.mcap"))
 
 
 def session_of_bag(bag: Path) -> Session:

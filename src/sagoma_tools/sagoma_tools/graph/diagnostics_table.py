@@ -18,6 +18,7 @@ from rich.text import Text
 from sagoma_ros.health import PERIOD_S
 from sagoma_ros.messages import to_ns, values_of
 
+from ..console import plain_table
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3 * PERIOD_S
@@ -75,13 +76,7 @@ class DiagnosticsTable:
     def table(self, names: Mapping[str, str], states: Mapping[str, str], *, now_s: float | None = None) -> Table:
         """Return one line a node (full name -> what to call it): state, rate, latency, losses, memory, message."""
         now_s = time.monotonic() if now_s is None else now_s
-        table = Table(box=None, pad_edge=False)
-        for title, width in (("node", 14), ("state", 12)):
-            table.add_column(title, min_width=width, no_wrap=True)
-        for title in ("rate Hz", "latency p50 ms", "rss MB"):
-            table.add_column(title, justify="right", no_wrap=True)
-        table.add_column("lost", ratio=1)
-        table.add_column("says", ratio=2)
+        table = plain_table("", ("node", "state"), ("rate Hz", "latency p50 ms", "rss MB"), ("lost", "says"))
         for name, label in names.items():
             table.add_row(label, *_row(states.get(name, "?"), self.report(name), now_s))
         return table

@@ -235,15 +235,10 @@ def namespace_of(node: Node) -> str:
     return str(node.get_namespace()).rstrip("/")
 
 
-def below(node: Node, full_name: str) -> bool:
-    """Is this full name of a node or topic in the node's namespace, or below it?"""
-    return full_name.startswith(f"{namespace_of(node)}/")
-
-
 def is_in_graph(node: Node, node_name: str) -> bool:
     """Whether this full name of a node is of the graph of ``node``'s namespace: camera clients are one level below."""
-    depth = node_name.removeprefix(f"{namespace_of(node)}/").count("/")
-    return below(node, node_name) and depth == is_camera(node_name)
+    below = node_name.removeprefix(f"{namespace_of(node)}/")
+    return below != node_name and below.count("/") == is_camera(node_name)
 
 
 def in_graph(node: Node, name: str) -> str:
@@ -253,10 +248,7 @@ def in_graph(node: Node, name: str) -> str:
 
 def topics_of(node: Node) -> dict[str, str]:
     """Return the topics of the node's namespace and those that all share, named as without one: name -> type."""
-    found = {}
-    for full_name, (msgtype, *_) in node.get_topic_names_and_types():
-        if full_name in SHARED:
-            found[full_name] = msgtype
-        elif below(node, full_name):
-            found[full_name.removeprefix(namespace_of(node))] = msgtype
-    return found
+    namespace = namespace_of(node)
+    types = {name: msgtype for name, (msgtype, *_) in node.get_topic_names_and_types()}
+    shared = {name: msgtype for name, msgtype in types.items() if name in SHARED}
+    return shared | {n.removeprefix(namespace): t for n, t in types.items() if n.startswith(f"{namespace}/")}

@@ -25,13 +25,14 @@ CAMERA_TOPIC = re.compile(r"^/(?P<camera>[^/]+)/silhouette/compressed$")
 PERSON_TOPIC = re.compile(r"^/mocap/bodies/(?P<body_id>[^/]+)/(?P<what>[a-z_]+)$")
 FIRST_BODY_ID = "b0001"  # where the graph sets no other
 
-# a recorder may lag behind for a second without losing a message
-LOSSLESS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+
+def _reliable(durability: DurabilityPolicy) -> QoSProfile:
+    """Return how messages pass none of which may be lost, though a recorder lags behind for a second."""
+    options = {"reliability": ReliabilityPolicy.RELIABLE, "durability": durability}
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, **options)
+
+
+LOSSLESS = _reliable(DurabilityPolicy.VOLATILE)
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,8 @@ class Topic:
     @property
     def qos(self) -> QoSProfile:
         """How a recorder subscribes."""
-        return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=LOSSLESS.depth,  # also of what is kept: /tf_static has several publishers, which all keep their own
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE,
-        )
+        # many also of what is kept: /tf_static has several publishers, which all keep their own
+        return _reliable(DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE)
 
 
 OF_A_PERSON = {

@@ -207,29 +207,21 @@ def frame_tolerance_ns(bag: str | Path) -> int:
 def read_frame_sets(bag: str | Path, tolerance_ns: int) -> Iterator[FrameSet[list[BagMessage]]]:
     """Yield the input messages sorted into frame sets, as the hull server sorts them; one list of messages a camera.
 
-    A frame's messages are its camera_info (when the bag has one of the same stamp), then its silhouette.
+    A frame's messages are its camera_info (when the bag has one of the same stamp), then its silhouette. The two may
+    have been logged in either order, so camera_info is read ahead of the silhouettes.
     """
     cameras = bag_cameras(bag)
     collector: FrameSetCollector[list[BagMessage]] = FrameSetCollector(
         cameras, tolerance_ns=tolerance_ns, deadline_ns=NEVER_NS, max_open=UNPAIRED_SETS
     )
-    for camera, frame in _read_frames(bag, cameras):
-        yield from collector.add(camera, frame[-1].stamp_ns, frame, arrival_ns=0)
-    yield from collector.flush()
-
-
-def _read_frames(bag: str | Path, cameras: tuple[str, ...]) -> Iterator[tuple[str, list[BagMessage]]]:
-    """Yield (camera, its messages of one stamp) in the order of the silhouettes.
-
-    The two topics of a camera may have been logged in either order, so camera_info is read ahead of the silhouettes.
-    """
     info_camera = {f"/{camera}{CAMERA_INFO_SUFFIX}": camera for camera in cameras}
     silhouette_camera = {f"/{camera}{SILHOUETTE_SUFFIX}": camera for camera in cameras}
     infos = {(info_camera[m.topic], m.stamp_ns): m for m in read_messages(bag, info_camera.__contains__)}
     for message in read_messages(bag, silhouette_camera.__contains__):
-        camera = silhouette_camera[message.topic]
-        info = infos.pop((camera, message.stamp_ns), None)
-        yield camera, [message] if info is None else [info, message]
+        camera, stamp_ns = silhouette_camera[message.topic], message.stamp_ns
+        info = infos.pop((camera, stamp_ns), None)
+        yield from collector.add(camera, stamp_ns, [message] if info is None else [info, message], arrival_ns=0)
+    yield from collector.flush()
 
 
 def bag_digest(bag: str | Path, topics: Iterable[str] | None = None) -> dict[str, TopicDigest]:

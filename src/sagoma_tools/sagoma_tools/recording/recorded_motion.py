@@ -27,8 +27,6 @@ from .reader import BagMessage, read_messages
 
 POINTS, ANGLES, TORSO, STATE = "reference_points", "joint_states", "torso", "state"
 ROW_TOPIC = re.compile(rf"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>{POINTS}|{ANGLES}|{TORSO}|{STATE})$")
-FIRST = ""
-"""The id under which the rows of the topics under /mocap itself are kept."""
 TRUSTED = "tracking"
 """The state of every row in a bag that recorded none."""
 LOST = "lost"
@@ -71,12 +69,12 @@ class PersonRows:
 def read_person_rows(
     bag: str | Path, kinds: Collection[str] = (POINTS, ANGLES, TORSO, STATE)
 ) -> defaultdict[str, PersonRows]:
-    """Return the rows of every person of a bag, by the body's id, FIRST for those under /mocap. Raises InputError."""
+    """Return the rows of every person of a bag, by the body's id. Raises InputError."""
     rows: defaultdict[str, PersonRows] = defaultdict(PersonRows)
     for message in read_messages(bag, lambda topic: kind_of(topic) in kinds):
         match = ROW_TOPIC.match(message.topic)
         assert match is not None
-        rows[match["body_id"] or FIRST].update(match["kind"], message)
+        rows[match["body_id"] or FIRST_BODY_ID].update(match["kind"], message)
     return rows
 
 
@@ -92,8 +90,6 @@ def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str,
     Raises InputError for a bag that cannot be read or holds no tracked person.
     """
     rows = read_person_rows(bag)
-    if FIRST in rows:
-        rows[FIRST_BODY_ID] = rows.pop(FIRST)
     found = {body_id: _samples(of_person) for body_id, of_person in sorted(rows.items())}
     found = {body_id: samples for body_id, samples in found.items() if len(samples[0]) > 1}
     name = Path(bag).resolve().name

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +27,8 @@ from .reader import bag_persons, bag_topics, read_messages, read_provenance, rig
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter, require_new
 
 FITTED, BODY, BODIES = "/icp/reference_points", "/icp/body", "/icp/bodies"
-OF_FIRST, OF_EVERYBODY = "/mocap", "/mocap/bodies"
 SMOOTHED = ("joint_states", "torso", "joint_covariance", "joint_rotations", "reference_points")
-"""What is smoothed of each person, in the order of `_messages_of`."""
+"""What is smoothed of each person."""
 
 
 def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> tuple[dict[int, int], int]:
@@ -42,11 +40,12 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
         remedy = "Record /icp/reference_points and /icp/body: `sagoma record` does."
         raise InputError(f"holds no {FITTED}, from which a take is smoothed", where=str(bag), remedy=remedy)
     states = {person: _states(runs, settings) for person, runs in runs_of.items()}
-    kinds = bag_topics(bag)
-    topics = _smoothed_topics(bag, states)
-    named = {topic: OF_A_PERSON[topic.rpartition("/")[2]] for topics_of in topics.values() for topic in topics_of}
+    prefixes: dict[int, list[str]] = {person: [] for person in states} | {FIRST_PERSON: ["/mocap"]}
+    for body_id, person in bag_persons(bag).items():
+        prefixes.setdefault(person, []).append(f"/mocap/bodies/{body_id}")
+    named = {f"{prefix}/{what}": OF_A_PERSON[what] for n in states for prefix in prefixes[n] for what in SMOOTHED}
     with BagWriter(target) as writer:
-        for topic, kind in {**kinds, **named}.items():
+        for topic, kind in {**bag_topics(bag), **named}.items():
             writer.add_topic(topic, kind, OFFERED_LATCHED if topic in LATCHED_TOPICS else OFFERED)
         for message in read_messages(bag):
             if message.topic not in named:
@@ -55,7 +54,10 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
                 continue
             for person, of_person in states.items():
                 if (state := of_person.get(message.stamp_ns)) is not None:
-                    _write(writer, topics[person], message.log_ns, state, frames[message.stamp_ns])
+                    smoothed = [serialize_message(one) for one in _messages_of(state, frames[message.stamp_ns])]
+                    for prefix in prefixes[person]:
+                        for what, data in zip(SMOOTHED, smoothed, strict=True):
+                            writer.write(f"{prefix}/{what}", message.log_ns, data)
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)}, rig_in(bag))
     return {person: len(of_person) for person, of_person in states.items()}, len(frames)
@@ -106,26 +108,8 @@ def _states(runs: list[list[Set]], settings: EkfSettings | None) -> dict[int, Bo
     return {answer.stamp_ns: answer for answer in answers if isinstance(answer, BodyState)}
 
 
-def _smoothed_topics(bag: str | Path, persons: Iterable[int]) -> dict[int, tuple[str, ...]]:
-    """Return the topics that are written of each person: those under /mocap of the first one, and those under
-    /mocap/bodies of everybody who has some there."""
-    prefixes = {person: [OF_FIRST] if person == FIRST_PERSON else [] for person in persons}
-    for body_id, person in bag_persons(bag).items():
-        if person in prefixes:
-            prefixes[person].append(f"{OF_EVERYBODY}/{body_id}")
-    return {
-        person: tuple(f"{prefix}/{what}" for prefix in own for what in SMOOTHED) for person, own in prefixes.items()
-    }
-
-
-def _write(writer: BagWriter, topics: tuple[str, ...], log_ns: int, state: BodyState, frame_id: str) -> None:
-    """Write one person's state on each of the topics, which are those of `SMOOTHED` under each prefix."""
-    messages = [serialize_message(message) for message in _messages_of(state, frame_id)]
-    for number, topic in enumerate(topics):
-        writer.write(topic, log_ns, messages[number % len(messages)])
-
-
 def _messages_of(state: BodyState, frame_id: str) -> tuple[Any, ...]:
+    """Return the messages of `SMOOTHED`."""
     return (
         joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame_id),
         torso_message(state, frame_id),

@@ -41,7 +41,7 @@ class Jobs:
         self._running = ""
         self.said = ""
         """What the last request said last."""
-        self.cancelled, self.ended = threading.Event(), threading.Event()
+        self.cancelled = threading.Event()
 
     def request(self, what: str, work: Work) -> bool:
         """Begin some work unless other work is under way; its last word is shown. Returns whether it began."""
@@ -67,7 +67,6 @@ class Jobs:
             said = str(describe_os_error(error, "cannot be used"))
         except Exception as error:  # the page goes on, whatever a request met
             said = f"{what} failed: {error!r}"
-        self.ended.set()
         with self._lock:
             self.said, self._running = said, ""
 

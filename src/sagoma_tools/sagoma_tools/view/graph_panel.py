@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -131,36 +130,28 @@ class Feed:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._lock = threading.Lock()
         self._subscriptions: dict[str, Any] = {}
-        self._kinds: dict[str, Any] = {}
-        self._newest: dict[str, bytes] = {}
+        self._newest: dict[str, tuple[Any, bytes]] = {}
 
     def watch(self, wanted: Iterable[tuple[str, str]]) -> None:
         """Subscribe to these topics (name, type), and to no others any more."""
         kinds = dict(wanted)
-        for name in [name for name in self._subscriptions if name not in kinds]:
+        for name in self._subscriptions.keys() - kinds.keys():
             self._node.destroy_subscription(self._subscriptions.pop(name))
-            with self._lock:
-                self._newest.pop(name, None)
-        for name, msgtype in kinds.items():
-            if name not in self._subscriptions:
-                self._kinds[name] = message_class(msgtype)
-                keep = partial(self._keep, name)
-                self._subscriptions[name] = self._node.create_subscription(
-                    self._kinds[name], in_graph(self._node, name), keep, NEWEST, raw=True
-                )
+            self._newest.pop(name, None)
+        for name in kinds.keys() - self._subscriptions.keys():
+            kind = message_class(kinds[name])
+            self._subscriptions[name] = self._node.create_subscription(
+                kind, in_graph(self._node, name), partial(self._keep, name, kind), NEWEST, raw=True
+            )
 
     def pop_newest(self, name: str) -> Any | None:
         """Return the newest message of a topic, once; None while there is no newer one."""
-        with self._lock:
-            data = self._newest.pop(name, None)
-        return None if data is None else deserialize_message(data, self._kinds[name])
+        kind, data = self._newest.pop(name, (None, b""))
+        return None if kind is None else deserialize_message(data, kind)
 
-    def _keep(self, name: str, data: bytes) -> None:
-        with self._lock:
-            if name in self._kinds:
-                self._newest[name] = data
+    def _keep(self, name: str, kind: Any, data: bytes) -> None:
+        self._newest[name] = kind, data
 
 
 # the live graph -------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ EVERY_S = 0.25
 
 
 class Page:
-    """Owns the web server; everything is drawn by one thread, which sleeps while nobody looks."""
+    """Owns the web server; everything is drawn by one thread, and nothing while nobody looks."""
 
     def __init__(
         self, guard: Guard, port: int | None, takes: TakesFolder, link: RosLink | None = None, rig: Rig | None = None
@@ -39,13 +39,12 @@ class Page:
         self._scene, self._rig = RoomScene(self.server), rig
         self._scene.show_rig(rig)
         self._playback: Playback | None = None
-        self._watched, self._ended = threading.Event(), threading.Event()
+        self._ended = threading.Event()
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = None if link is None else GraphPanel(gui, tabs, link, takes, self._jobs)
         leave = None if link is None else self.show_live
         self._take_panel = TakesPanel(gui, tabs, takes, self._jobs, self.play, leave)
-        self.server.on_client_connect(lambda client: self._watched.set())
         self._thread = threading.Thread(target=self._draw, name="page", daemon=True)
         self._thread.start()
 
@@ -84,7 +83,6 @@ class Page:
     def close(self) -> None:
         """Close the page, and finish a recording under way."""
         self._ended.set()
-        self._watched.set()
         self._thread.join()
         self.server.stop()
         if self._graph is not None:
@@ -101,15 +99,13 @@ class Page:
             if not self.server.get_clients():
                 if self._graph is not None:
                     self._graph.live.watch_nothing()
-                self._watched.clear()
-                if not self.server.get_clients():  # who came meanwhile has set it
-                    self._watched.wait()
+                self._ended.wait(EVERY_S)
                 continue
             now = time.monotonic()
             try:
                 with self.server.atomic():
                     self._draw_people(now)
-                    if now >= next_s or self._jobs.ended.is_set():
+                    if now >= next_s:
                         next_s = now + EVERY_S
                         self._draw_panels()
             except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
@@ -130,7 +126,6 @@ class Page:
 
     def _draw_panels(self) -> None:
         """List the takes; say what the last request came to, and how every node is; draw the cameras' pictures."""
-        self._jobs.ended.clear()
         self._take_panel.show_takes(self._takes.takes())
         name = self._graph.control.recording if self._graph is not None else ""
         recording, last = RECORDING.format(name), self._jobs.said

@@ -197,16 +197,13 @@ class TakesPanel:
         return self._choice.value if self._choice.value in self._takes else ""
 
     def show_takes(self, takes: Sequence[Take]) -> None:
-        """List the takes; one that has been renamed stays chosen."""
-        known, self._takes, chosen = self._takes, {take.name: take for take in takes}, self._choice.value
+        """List the takes."""
+        known, self._takes = self._takes, {take.name: take for take in takes}
         names = tuple(self._takes) or (NO_TAKES,)
         if tuple(self._choice.options) != names:
             self._choice.options = names
             if not known and self._playback is not None:  # it began before there was a list
                 self._choose(self._playback.take.name)
-            new = self._takes.keys() - known.keys()
-            if chosen in known and chosen not in self._takes and len(new) == 1:
-                self._choose(new.pop())
         if known != self._takes:
             self._show_about()
 
