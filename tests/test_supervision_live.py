@@ -53,18 +53,18 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
                 assert_every_camera_is_seen(supervisor.diagnostics)
 
 
+def whole_sets(diagnostics: DiagnosticsTable) -> tuple[float, int]:
+    """When the hull server last reported, and of how many whole frame sets: of every camera, its background found."""
+    report = diagnostics.report("/hull_server")
+    return (0.0, 0) if report is None else (report.heard_s, int(report.values.get("sets_complete", 0)))
+
+
 def assert_every_camera_is_seen(diagnostics: DiagnosticsTable) -> None:
-    """The hull server comes to form whole frame sets: the camera's background was found again."""
-    began_s = time.monotonic()
-    before = whole_sets(diagnostics)
+    """The hull server comes to form more whole frame sets, and says so after this moment."""
+    began_s, (_, before) = time.monotonic(), whole_sets(diagnostics)
 
     def more_are_whole() -> bool:
-        report = diagnostics.report("/hull_server")
-        return report is not None and report.heard_s > began_s and whole_sets(diagnostics) > before
+        heard_s, now = whole_sets(diagnostics)
+        return heard_s > began_s and now > before
 
     assert diagnostics.wait_until(more_are_whole, PATIENCE_S)
-
-
-def whole_sets(diagnostics: DiagnosticsTable) -> int:
-    report = diagnostics.report("/hull_server")
-    return 0 if report is None else int(report.values.get("sets_complete", 0))

@@ -156,7 +156,7 @@ def test_what_does_not_serve_is_found_with_a_remedy(file, tmp_path, capsys, chan
     assert status in {"error": (2,), "warning": (1,)}.get(severity, (0, 1))  # of this machine there may be warnings
 
 
-LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
+LINK = Interface("enp3s0", "192.168.1.1", mtu=9000, speed_mbit=1000)
 RECORD = DeviceRecord("192.168.1.11", "Maker", "Model", serial="123", user_id="left", subnet_mask="255.255.255.0")
 SETTINGS = AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
 

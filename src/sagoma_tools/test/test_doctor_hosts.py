@@ -14,7 +14,7 @@ HERE, THERE = "10.0.0.1", "10.0.0.2"
 OURS = RosSettings(domain=7, profile="fastdds.xml")
 ALONE = replace(OURS, reach="LOCALHOST")
 WELL = Peer((OURS,), OURS, HERE, THERE, multicast=True, port_open=True)
-LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
+LINK = Interface("enp3s0", "192.168.1.1", mtu=1500, speed_mbit=1000)
 
 
 def there(**settings):

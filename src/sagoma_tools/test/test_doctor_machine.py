@@ -13,7 +13,7 @@ from sagoma_tools.doctor import machine
 from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, show, summary, warning
 from sagoma_tools.doctor.machine import Interface, domains_of_ports, examine_machine, interface_to, interfaces
 
-LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
+LINK = Interface("enp3s0", "192.168.1.1", mtu=1500, speed_mbit=1000)
 VARIABLES = ("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 GIB = 1 << 30

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from humaneva_files import marker_points, model_points, write_c3d, write_mp
-from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 from sagoma_tools.importers.formats import Mocap, Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
-from sagoma_tools.importers.humaneva_joints import Instants, joints, measures, segment
+from sagoma_tools.importers.humaneva_joints import joints, measures
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
@@ -142,29 +141,6 @@ def test_torso_leans_back_and_upper_arms_turn_back(person):
     elbow = [1000 - 300 * np.sin(turn), 200, 400 - 300 * np.cos(turn)]
     assert found["LElbow"][0] == pytest.approx(elbow)
     assert found["LWrist"][0] == pytest.approx([elbow[0] + 250 * np.sin(turn), 200, elbow[2] - 250 * np.cos(turn)])
-
-
-def test_segment_axes_turn_evenly_between_two_mocap_frames():
-    begin, turn = Rotation.from_euler("xyz", [0.4, -0.3, 2.0]), np.array([0.2, -0.9, 0.5])
-    end = Rotation.from_rotvec(turn) * begin
-    origins = np.array([[100.0, 200, 300], [200.0, 250, 310]])
-    points = np.array([[o, *(o + 80 * R.as_matrix().T)] for o, R in zip(origins, (begin, end), strict=True)])
-    mocap = Mocap(None, {"PELO": 0, "PELA": 1, "PELL": 2, "PELP": 3}, points, 120.0)
-    pelvis = segment(mocap, Instants.of(np.array([1.0, 1.25, 2.0]), 2), "PEL")
-    for k, share in enumerate((0.0, 0.25, 1.0)):
-        expected = Rotation.from_rotvec(share * turn) * begin
-        assert (Rotation.from_matrix(pelvis.R_world_segment[k]) * expected.inv()).magnitude() < 1e-9
-        assert pelvis.origin_mm[k] == pytest.approx(origins[0] + share * (origins[1] - origins[0]))
-
-
-@pytest.mark.parametrize("label", ["C7", "RFRA", "TRXO", "PELL", "LHUP", "LFEP"])
-def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
-    points, R_torso = (a[::20] for a in person)
-    mocap = mocap_of(points, R_torso)
-    mocap.points_mm[9, mocap.column[label]] = np.nan  # mocap frame 10
-    positions = np.array([8.0, 9.0, 9.01, 9.5, 10.0, 10.99, 11.0, 12.0])
-    _, valid = joints(mocap, positions, *SIZES)
-    assert valid.tolist() == [True, True, False, False, False, False, True, True]
 
 
 def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_invalid(person):

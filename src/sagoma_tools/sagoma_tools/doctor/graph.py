@@ -147,10 +147,8 @@ def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
         remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
         yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
     if node.state is None:
-        text = (
-            f"{node.name} is known, but does not answer{' or report' if node.report is None else ''}: it died, hangs, "
-        )
-        yield error("node.silent", f"{text}is busy, or its packets do not get here", UNREACHABLE)
+        text = f"{node.name} is known, but does not answer{' or report' if node.report is None else ''}"
+        yield error("node.silent", f"{text}: it died, hangs, is busy, or its packets do not get here", UNREACHABLE)
     elif node.report is None:
         yield error("diagnostics.missing", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
     if node.state not in (None, ACTIVE):
