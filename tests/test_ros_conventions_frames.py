@@ -91,10 +91,8 @@ class Taken:
     """A stand-in of the publisher of tf2_msgs/TFMessage: its list of transforms, checked as rclpy would."""
 
     def __init__(self, node, kind, topic, qos):
-        self.topic, self.qos = topic, qos
-        self.is_wanted, self.closed = True, False
+        self.topic, self.qos, self.is_wanted, self.closed, self.messages = topic, qos, True, False, []
         PUBLISHERS.append(self)
-        self.messages = []
 
     def publish(self, make):
         self.messages.append(make())
