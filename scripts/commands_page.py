@@ -7,7 +7,7 @@ import sys
 from textwrap import fill
 
 from sagoma_tools.cli import build_parser
-from sagoma_tools.console import HELP, STATUSES, commands_of
+from sagoma_tools.console import HELP, STATUSES, CommandHelp, commands_of
 
 PAGE = """# Commands
 
@@ -38,7 +38,9 @@ def page(parser: argparse.ArgumentParser) -> str:
     """Return docs/commands.md."""
     lines = []
     for name, _, text in commands_of(parser):
-        meant = "; ".join(f"{status}: {meaning}" for status, meaning in sorted(HELP[name].statuses.items()))
+        meant = "; ".join(
+            f"{status}: {meaning}" for status, meaning in sorted(HELP.get(name, CommandHelp()).statuses.items())
+        )
         line = f"- `sagoma {name}`: {text}{f' ({meant})' if meant else ''}"
         lines.append(fill(line, 120, subsequent_indent="  ", break_on_hyphens=False))
     statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in STATUSES.items())

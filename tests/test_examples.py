@@ -74,10 +74,8 @@ def test_the_example_of_the_readme_prints_the_angles_of_each_frame(three_cameras
 
 
 def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path, result_of):
-    look = RenderSettings(shadow=False)
-    session = write_session(
-        tmp_path / "s", ring(3, ceiling=False), Body.from_stature(1.75), fps=20.0, seconds=1.6, settings=look
-    )
+    body, look = Body.from_stature(1.75), RenderSettings(shadow=False)
+    session = write_session(tmp_path / "s", ring(3, ceiling=False), body, fps=20.0, seconds=1.6, settings=look)
     _, frames, hands = numbers(result_of("02_own_silhouettes.py", session))
     truth = load_session(session).truth
     assert truth is not None and len(frames) > 20 and frames[-1] == truth.frames[-1]
@@ -110,19 +108,6 @@ def subscriber():
     process.communicate()
 
 
-def joint_states(angle, rate):
-    message = JointState(name=list(ANGLE_NAMES), position=[0.0] * 18, velocity=[0.0] * 18)
-    message.position[8], message.velocity[8] = angle, rate
-    return message
-
-
-def torso_at(x, y, z):
-    message = PoseWithCovarianceStamped()
-    place = message.pose.pose.position
-    place.x, place.y, place.z = x, y, z
-    return message
-
-
 def next_line(process, publisher, message):
     """The next line that the example prints, while the message is published: it may not listen yet."""
     while not select.select([process.stdout], [], [], 0.2)[0]:
@@ -131,13 +116,16 @@ def next_line(process, publisher, message):
 
 
 def test_subscriber_prints_torso_and_joint_as_it_hears_them_and_ends_at_ctrl_c(subscriber):
+    pose, joints = PoseWithCovarianceStamped(), JointState(name=list(ANGLE_NAMES))
+    place = pose.pose.pose.position
+    place.x, place.y, place.z = 1.0, -0.5, 1.1
+    joints.position, joints.velocity = np.eye(18)[8] * -0.75, np.eye(18)[8] * 1.25
     with RosLink("pose_source") as link:
         torso = link.node.create_publisher(PoseWithCovarianceStamped, "/mocap/torso", RESULT)
-        assert next_line(subscriber, torso, torso_at(1.0, -0.5, 1.1)) == "torso at 1.00 -0.50 1.10 m\n"
-        joints = link.node.create_publisher(JointState, "/mocap/joint_states", RESULT)
-        lines = (next_line(subscriber, joints, joint_states(-0.75, 1.25)) for _ in range(1000))
+        assert next_line(subscriber, torso, pose) == "torso at 1.00 -0.50 1.10 m\n"
+        states = link.node.create_publisher(JointState, "/mocap/joint_states", RESULT)
+        lines = (next_line(subscriber, states, joints) for _ in range(1000))
         assert "left_elbow -0.750 rad, 1.25 rad/s\n" in lines
     subscriber.send_signal(signal.SIGINT)
     assert subscriber.wait(PATIENCE_S) == 0
-    rest = subscriber.stdout.read()
-    assert (rest.splitlines()[-1], subscriber.stderr.read()) == ("bye", "")
+    assert (subscriber.stdout.read().splitlines()[-1], subscriber.stderr.read()) == ("bye", "")

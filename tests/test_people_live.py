@@ -1,20 +1,17 @@
 """Two persons through the server's nodes: recorded silhouettes in, a bag with everybody out, one process or three."""
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.serialization import deserialize_message
 from silhouette_bag import EPOCH_NS, write_silhouette_bag
 
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_bringup.graph import SERVER_LAYOUTS
 from sagoma_tools.evaluation.track import tracks_from_bag
-from sagoma_tools.recording.reader import bag_digest, bag_topics, read_messages
+from sagoma_tools.recording.reader import bag_digest
 from sagoma_tools.recording.replayer import replay_through_graph
 from stick_figure.body import Body
 from virtual_studio.motions.together import TOGETHER
@@ -42,11 +39,10 @@ def clip():
     motions = replace(crowd, roles=crowd.roles[:2]).motions(PERSONS, FPS, TOGETHER_S + ALONE_S)
     eyes, both_until = ExactSilhouettes(RIG), round(TOGETHER_S * FPS)
     placed = [[person.place(pose) for pose in motion.poses] for person, motion in zip(PERSONS, motions, strict=True)]
-    frames = [
+    return [
         eyes.render(together(first, second) if k < both_until else first)
         for k, (first, second) in enumerate(zip(*placed, strict=True))
     ]
-    return frames
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +78,3 @@ def test_both_persons_are_in_the_bag_with_the_numbers_of_the_page(clip, bags):
     for person, track in tracks.items():
         assert track.frames.tolist() == list(angles[person])
         np.testing.assert_array_equal(track.angles, list(angles[person].values()))
-
-
-def test_person_who_leaves_is_lost_and_says_so_on_the_own_topic(bags):
-    said = [
-        {value.key: value.value for value in status.values} | {"state": status.message}
-        for message in read_messages(bags[0], f"{BESIDE}/state".__eq__)
-        for status in [deserialize_message(message.data, DiagnosticStatus)]
-    ]
-    states = Counter(one["state"] for one in said)
-    assert states["tracking"] > 20 and said[-1]["state"] == "lost" and said[-1]["reason"] == "has left"
-    assert [one["reason"] for one in said].count("has left") == 1
-    assert not any(topic.startswith("/mocap/bodies/b0001") for topic in bag_topics(bags[0]))  # a copy of /mocap

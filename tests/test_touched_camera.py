@@ -93,29 +93,19 @@ def lamp(picture):
     return picture * (1 + 0.6 * np.exp(-((u - 100) ** 2 + (v - 150) ** 2) / (2 * 150.0**2)))
 
 
-@pytest.mark.parametrize("change", [lambda p: p * 0.5, lambda p: p * 1.3, lamp])
+@pytest.mark.parametrize("change", [lambda p: p * 0.5, lamp])
 def test_other_light_moves_no_background(studio, change):
     pipeline = studio.run(studio.pipeline(), range(4, 8), change)
     assert pipeline.background.state.switches == 1
     assert studio.most_px(pipeline) == 0
 
 
-def near(picture, part):
-    """Somebody right before the camera."""
-    return picture[::-1, ::-1][part]
-
-
-def wall(picture, part):
-    """A stage wall that is pushed by two pixels."""
-    return moved(picture, 1.6, 1.2)[part]
-
-
 @pytest.mark.parametrize("begin", [0, 210])
-@pytest.mark.parametrize("thing", [near, wall])
-def test_what_covers_or_moves_a_third_of_the_picture_moves_no_background(studio, begin, thing):
+@pytest.mark.parametrize("thing", [lambda p: p[::-1, ::-1], lambda p: moved(p, 1.6, 1.2)], ids=["somebody", "wall"])
+def test_who_covers_or_what_moves_a_third_of_the_picture_moves_no_background(studio, begin, thing):
     def partly(picture):
         changed, part = picture.copy(), np.s_[:, begin : begin + 210]
-        changed[part] = thing(picture, part)
+        changed[part] = thing(picture)[part]
         return changed
 
     assert studio.most_px(studio.run(studio.pipeline(), range(4, 8), after=partly)) < 0.1

@@ -12,7 +12,7 @@ import re
 import sys
 import types
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,15 +24,16 @@ SOURCES = Path(__file__).resolve().parents[2] / "src"
 
 
 class Context:
-    """Values of the arguments, and the namespace that was pushed."""
+    """Values of the arguments."""
 
     def __init__(self, **values: object) -> None:
         self.values = {name: str(value) for name, value in values.items()}
-        self.pushed: str | None = None
 
 
 class DeclareLaunchArgument:
-    def __init__(self, name: str, *, default_value: str | None = None, description: str, choices: list | None) -> None:
+    def __init__(
+        self, name: str, *, default_value: str | None, description: str | None, choices: list | None = None
+    ) -> None:
         self.name, self.default, self.description, self.choices = name, default_value, description, choices
 
     def visit(self, context: Context) -> None:
@@ -44,19 +45,19 @@ class DeclareLaunchArgument:
             raise RuntimeError(f"Argument '{self.name}' provided value is not valid.")
 
 
+@dataclass
 class OpaqueFunction:
-    def __init__(self, *, function: Any) -> None:
-        self.function = function
+    function: Any
 
 
+@dataclass
 class Shutdown:
-    def __init__(self, *, reason: str) -> None:
-        self.reason = reason
+    reason: str
 
 
+@dataclass
 class LaunchConfiguration:
-    def __init__(self, name: str) -> None:
-        self.name = name
+    name: str
 
     def perform(self, context: Context) -> str:
         return context.values[self.name]
@@ -71,8 +72,6 @@ class Node:
     name: str | None = None
     namespace: str | None = None
     parameters: list[Any] = field(default_factory=list)
-    remappings: list[tuple[str, str]] = field(default_factory=list)
-    arguments: list[str] = field(default_factory=list)
     output: str = "log"
     respawn: bool = False
     respawn_delay: float | None = None
@@ -120,10 +119,16 @@ def stood_in() -> Iterator[None]:
 
 def launched(path: Path, pushed: str | None = None, **arguments: object) -> list[Node]:
     """The nodes that a launch file, Python or XML, starts; where ``pushed``, included below a pushed namespace."""
-    context = Context(**arguments)
-    context.pushed = below(None, pushed)
+    context, nodes = Context(**arguments), []
     with stood_in():
-        return list(_visit(_entities(path, context), context))
+        for entity in _entities(path, context):
+            if isinstance(entity, DeclareLaunchArgument):
+                entity.visit(context)
+            else:
+                nodes += entity.function(context)
+    for node in nodes:
+        node.full_namespace = below(below(None, pushed), node.namespace)
+    return nodes
 
 
 def _entities(path: Path, context: Context) -> list[Any]:
@@ -138,35 +143,22 @@ def _from_xml(root: ET.Element, context: Context) -> list[Any]:
     made: list[Any] = []
     for element in root:
         if element.tag == "arg":
-            name, default, text = (element.get(key) for key in ("name", "default", "description"))
-            made.append(DeclareLaunchArgument(str(name), default_value=default, description=str(text), choices=None))
-        elif element.tag == "include":
+            default, text = element.get("default"), element.get("description")
+            made.append(DeclareLaunchArgument(str(element.get("name")), default_value=default, description=text))
+        else:
+            assert element.tag == "include", f"the stand-in knows no <{element.tag}>"
             given = {str(arg.get("name")): _text(arg.get("value"), context) for arg in element.findall("arg")}
             context.values.update(given)
             included = _entities(Path(_text(element.get("file"), context)), context)
             required = {e.name for e in included if isinstance(e, DeclareLaunchArgument) and e.default is None}
             assert required <= set(given), "launch wants required arguments to be handed over"
             made += included
-        else:
-            raise AssertionError(f"the stand-in knows no <{element.tag}>")
     return made
 
 
 def _text(text: str | None, context: Context) -> str:
     text = re.sub(r"\$\(var (\w+)\)", lambda found: context.values[found[1]], text or "")
     return re.sub(r"\$\(find-pkg-share (\w+)\)", lambda found: str(SOURCES / found[1]), text)
-
-
-def _visit(entities: Iterable[Any], context: Context) -> Iterator[Node]:
-    for entity in entities:
-        if isinstance(entity, DeclareLaunchArgument):
-            entity.visit(context)
-        elif isinstance(entity, OpaqueFunction):
-            yield from _visit(entity.function(context), context)
-        else:
-            assert isinstance(entity, Node), entity
-            entity.full_namespace = below(context.pushed, entity.namespace)
-            yield entity
 
 
 def module_of(package: str, executable: str) -> str:

@@ -29,9 +29,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     help_cameras = "folder of camera parameter files, or one such file; without --rig the camera clients run alone"
     parser.add_argument("--cameras", help=help_cameras)
     parser.add_argument("--only", metavar="PART", help="run only this part: server, cameras, or one camera's name")
-    parser.add_argument(
-        "--rate", type=PLAYING_SPEED, default=1.0, help="playing speed of footage; 0: as fast as the graph can"
-    )
+    help_rate = "playing speed of footage; 0: as fast as the graph can"
+    parser.add_argument("--rate", type=PLAYING_SPEED, default=1.0, help=help_rate)
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
     parser.add_argument("--body", help="body YAML for the trackers")
     add_start_argument(parser)
@@ -40,10 +39,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_start_argument(parser: argparse.ArgumentParser) -> None:
     """--start: where the first pose comes from; `start_settings` of sagoma_bringup reads it."""
-    text = (
-        "first pose: the session's reference where it was measured on its footage, else a T-pose or whoever walks in "
-    )
-    text += "(auto); a T-pose alone; the session's reference or truth"
+    text = "first pose: the session's reference where it was measured on its footage, else a T-pose or whoever walks "
+    text += "in (auto); a T-pose alone; the session's reference or truth"
     parser.add_argument("--start", choices=STARTS, default=AUTO_START, help=text)
 
 

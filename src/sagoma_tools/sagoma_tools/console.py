@@ -107,9 +107,9 @@ ENDED = "ended by Ctrl-C, SIGTERM or --seconds, in order"
 
 
 class CommandHelp(NamedTuple):
-    """Help of one command; ``statuses`` are those that mean something of their own here."""
+    """Examples of one command, where its usage does not say all; statuses that mean something of their own here."""
 
-    examples: tuple[str, ...]
+    examples: tuple[str, ...] = ()
     statuses: Mapping[int, str] = MappingProxyType({})
 
 
@@ -131,7 +131,6 @@ HELP: Mapping[str, CommandHelp] = {
         ("background", "background --cameras cam01 cam03 --countdown 20"),
         {FAILED: "a camera is only usable", BAD_INPUT: "a camera has to be done again, or did not answer"},
     ),
-    "background show": CommandHelp(("background show cam01_background.npz",)),
     "up": CommandHelp(
         (f"up {SESSION}", f"up --rig {RIG} --cameras config/camera --view", f"up {SESSION} --rate 0 --record {TAKE}"),
         {OK: ENDED, FAILED: "the graph did not start, or a node did not end in order"},
@@ -148,18 +147,11 @@ HELP: Mapping[str, CommandHelp] = {
         {FAILED: "in lockstep: a frame set was not answered"},
     ),
     "compare": CommandHelp((f"compare {TAKE} output/again",), {FAILED: "the bags differ"}),
-    "recover": CommandHelp((f"recover {TAKE}",)),
-    "takes list": CommandHelp(("takes list",)),
     "takes show": CommandHelp(("takes show walk1",), {FAILED: "the take cannot be read"}),
     "takes verify": CommandHelp(("takes verify walk1",), {FAILED: "a check found an error"}),
-    "takes rename": CommandHelp(("takes rename walk1 anna_walk",)),
     "takes trim": CommandHelp(("takes trim walk1 walk1_middle --from 2 --to 8",)),
     "takes video": CommandHelp(("takes video walk1 --output walk1.mp4",)),
-    "takes delete": CommandHelp(("takes delete walk1",)),
-    "takes restore": CommandHelp(("takes restore walk1",)),
-    "takes bin": CommandHelp(("takes bin",)),
     "takes empty": CommandHelp(("takes empty --yes",)),
-    "takes measure": CommandHelp(("takes measure walk1",)),
     "smooth": CommandHelp((f"smooth {TAKE}",)),
     "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}),
     "evaluate": CommandHelp((f"evaluate {SESSION} --video", "evaluate output/demo/bag")),
@@ -187,17 +179,16 @@ def describe(parser: argparse.ArgumentParser) -> None:
     """Give every command below ``parser`` its description, examples and exit statuses."""
     width = max(shutil.get_terminal_size().columns - 2, 20)
     for name, leaf, text in commands_of(parser):
-        known, first = HELP.get(name), leaf.description or text
+        known, first = HELP.get(name, CommandHelp()), leaf.description or text
         sentence = first[:1].upper() + first[1:].rstrip(".") + ("" if first.endswith("?") else ".")
         leaf.description = textwrap.fill(sentence, width)
         leaf.set_defaults(command=name, leaf=leaf)
         leaf.formatter_class = argparse.RawDescriptionHelpFormatter
-        if known is None:
-            continue
-        examples = "\n".join(f"  sagoma {example}" for example in known.examples)
+        examples = "\n".join(["examples:", *(f"  sagoma {example}" for example in known.examples)])
         statuses = "; ".join(f"{status} {meaning}" for status, meaning in own_statuses(known).items())
         notes = [textwrap.fill(leaf.epilog, width)] if leaf.epilog else []
-        leaf.epilog = "\n\n".join([*notes, f"examples:\n{examples}", textwrap.fill(f"exit status: {statuses}", width)])
+        notes += [examples] if known.examples else []
+        leaf.epilog = "\n\n".join([*notes, textwrap.fill(f"exit status: {statuses}", width)])
 
 
 def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tuple[str, argparse.ArgumentParser, str]]:

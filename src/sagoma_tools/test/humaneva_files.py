@@ -7,9 +7,10 @@ lie on the figure's own joints, and the subject's measures are such that the pub
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from footage_clips import write_clip
 
@@ -18,8 +19,6 @@ from capture_rig.session import WRIST_FRACTION
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
-from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rig import ring
 
 Array = np.ndarray
@@ -161,14 +160,11 @@ DROPOUTS = {"C7": (1, 34), "LKNE": (40, 43), "PELA": (60, 60)}
 """Labels that are zero from one mocap frame to another, both included."""
 
 
-@dataclass(frozen=True)
-class DataSet:
-    """A data set on disk and the truth of its only trial, S2 Walking_1."""
+class DataSet(NamedTuple):
+    """A data set on disk and the truth of its only trial, S2 Walking_1: common frame -> joint -> (3,) metres."""
 
     root: Path
-    cameras: dict[str, CameraModel]
     joints: dict[int, dict[str, Array]]
-    """Common frame -> joint -> (3,) metres."""
 
 
 def write_data_set(root: Path) -> DataSet:
@@ -179,41 +175,38 @@ def write_data_set(root: Path) -> DataSet:
     for folder in (*folders.values(), root / "Background"):
         folder.mkdir(parents=True)
 
-    def pose_at(mocap_frame: float) -> int:
-        return round((BEGIN_S + (mocap_frame - 1) / MOCAP_HZ) * GRID_HZ)
-
-    def state(numbers: list[int]) -> tuple[Array, Array]:
-        poses = [played.poses[n] for n in numbers]
+    def state(*mocap_frames: float) -> tuple[Array, Array]:
+        numbers = [round((BEGIN_S + (mocap_frame - 1) / MOCAP_HZ) * GRID_HZ) for mocap_frame in mocap_frames]
+        poses = [played.poses[number] for number in numbers]
         return np.array([forward(body, pose) for pose in poses]), np.array([pose.R_world_torso for pose in poses])
 
-    _write_mocap(folders["Mocap_Data"], *state([pose_at(m) for m in range(1, MOCAP_FRAMES + 1)]))
-    cameras = dict(zip(OFFSETS, ring(4, ceiling=False, size=(320, 240)).cameras, strict=True))
-    sensor, volumetric = Sensor(1.5, 0.0, 3), VolumetricBody(body)
-    for number, (name, camera) in enumerate(cameras.items()):
-        image, mocap, scale = OFFSETS[name]
+    _write_mocap(folders["Mocap_Data"], *state(*range(1, MOCAP_FRAMES + 1)))
+    rng = np.random.default_rng(3)
+    for name, camera in zip(OFFSETS, ring(4, ceiling=False, size=(320, 240)).cameras, strict=True):
         write_cal(folders["Calibration_Data"] / f"{name}.cal", camera)
-        (folders["Sync_Data"] / f"Walking_1_({name}).ofs").write_text(f"{image:.4f}\n{mocap:.4f}\n{scale:.6f}\n")
-        eye = VirtualCamera(camera)
+        offset = "".join(f"{number:.6f}\n" for number in OFFSETS[name])
+        (folders["Sync_Data"] / f"Walking_1_({name}).ofs").write_text(offset)
+        room = cv2.GaussianBlur(rng.uniform(40, 110, (240, 320)), (0, 0), 3.0)
         images = []
         for n in range(1, FIRST_IMAGE[name] + LAST_COMMON):
-            capsules = volumetric.place(played.poses[pose_at(mocap + (n - image) * scale)])
-            flash = 2.0 if n == FIRST_IMAGE[name] + FLASH_COMMON - 1 else 1.0
-            images.append(_tint(sensor.expose(flash * eye.render(capsules, None)[0], number, n), name))
+            image = room * (2.0 if n == FIRST_IMAGE[name] + FLASH_COMMON - 1 else 1.0)
+            image[60:200, 4 * n : 4 * n + 40] = 30.0  # somebody walks by
+            images.append(_tint(image, name))
         write_avi(folders["Image_Data"] / f"Walking_1_({name}).avi", images)
         for movie, gain in ((1, 0.8), (2, 1.0), (3, 1.25)):
-            empty = [sensor.expose(gain * eye.empty_room(), number, 1000 * movie + k) for k in range(8)]
-            dark = [np.zeros_like(empty[0])] * 5
-            write_avi(root / "Background" / f"Background_{movie}_({name}).avi", [_tint(i, name) for i in dark + empty])
+            shown = [_tint(0 * room, name)] * 5 + [_tint(gain * room, name)] * 8
+            write_avi(root / "Background" / f"Background_{movie}_({name}).avi", shown)
     truth = {}
     for frame in range(1, LAST_COMMON + 1):
-        found = joints_of(*state([pose_at(FIRST_MOCAP + 2 * (frame - 1))]))
+        found = joints_of(*state(FIRST_MOCAP + 2 * (frame - 1)))
         truth[frame] = {name: point[0] for name, point in found.items()}
-    return DataSet(root, cameras, truth)
+    return DataSet(root, truth)
 
 
 def _tint(image: Array, name: str) -> Array:
     """What a colour camera makes of a grey image: less blue, more red; a grey camera leaves it."""
-    return image if name.startswith("BW") else np.clip(image[..., None] * [0.8, 1.0, 1.1], 0, 255).astype(np.uint8)
+    coloured = image if name.startswith("BW") else image[..., None] * [0.8, 1.0, 1.1]
+    return np.clip(coloured, 0, 255).astype(np.uint8)
 
 
 def _write_mocap(folder: Path, points: Array, R_torso: Array) -> None:

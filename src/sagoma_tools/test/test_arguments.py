@@ -32,10 +32,6 @@ OPTIONS = [
 ]
 
 
-def test_numbers_of_many_commands_are_found():
-    assert len({each.id.rpartition(" ")[0] for each in OPTIONS}) > 12 and len(OPTIONS) > 35
-
-
 @pytest.mark.parametrize(("parser", "action"), OPTIONS)
 def test_absurd_number_ends_with_status_2_and_one_line(parser, action, capsys):
     option, many = (action.option_strings or [""])[-1], isinstance(action.nargs, int)
@@ -47,19 +43,14 @@ def test_absurd_number_ends_with_status_2_and_one_line(parser, action, capsys):
         assert f"'{text}' cannot be used; give a " in last or (many and text.startswith("-"))  # taken for an option
 
 
-def test_number_is_read_with_its_bounds_and_its_unit_is_named():
-    read = number("kg", 2, 500)
-    assert (read("2"), read("72.5"), read("500")) == (2.0, 72.5, 500.0)
+def test_number_is_read_with_its_bounds_and_its_unit_is_named_and_a_whole_one_takes_no_decimals():
+    read, whole = number("kg", 2, 500), number("nodes", 1, 1000, whole=True)
+    assert (read("2"), read("72.5"), whole("7")) == (2.0, 72.5, 7) and isinstance(whole("7"), int)
     with pytest.raises(argparse.ArgumentTypeError, match=r"^'1\.9' cannot be used; give a number from 2 to 500 kg$"):
         read("1.9")
-
-
-def test_whole_number_stays_one_and_takes_no_decimals():
-    read = number("nodes", 1, 1000, whole=True)
-    assert read("7") == 7 and isinstance(read("7"), int)
     for text in ("7.0", "0", "1001", "9" * 5000):
         with pytest.raises(argparse.ArgumentTypeError, match="give a whole number from 1 to 1000 nodes"):
-            read(text)
+            whole(text)
 
 
 def test_one_camera_of_several_without_a_common_beginning_is_refused_and_all_of_them_or_none_need_none():

@@ -10,13 +10,9 @@ from sagoma_tools.commands.demo import next_step, pace, unsound
 from sagoma_tools.evaluation import live_run
 
 
-def test_capture_at_any_rate_is_sound_when_its_sets_are_answered_and_somebody_is_tracked():
-    assert unsound(360, 360, 355) == "" == unsound(90, 88, 80)
-    assert "only 80 of 100" in unsound(100, 80, 80)
-    assert "only 10 of 100" in unsound(100, 100, 10)
-
-
-def test_line_says_what_was_done_and_what_to_do_next(monkeypatch):
+def test_capture_is_sound_when_sets_are_answered_and_somebody_is_tracked_and_lines_say_what_to_do_next(monkeypatch):
+    assert unsound(90, 88, 80) == ""
+    assert "only 80 of 100" in unsound(100, 80, 80) and "only 10 of 100" in unsound(100, 100, 10)
     for held_hz, speed, said in (
         (59.5, 1.0, "holds all the cameras' 60 Hz"),
         (36.2, 1.0, "36 Hz of the cameras' 60 Hz; all left out the same frames"),
@@ -31,12 +27,9 @@ def test_line_says_what_was_done_and_what_to_do_next(monkeypatch):
 @pytest.mark.parametrize(
     ("asked", "outcomes", "speeds"),
     [
-        (None, [60.0], [1.0]),
         (None, [30.0], [1.0]),
         (None, [9.0, 60.0], [1.0, 1 / 8]),
-        (None, [0.0, 60.0], [1.0, 1 / 32]),
         (None, [16.0, "torn", 60.0], [1.0, 1 / 4, 1 / 8]),
-        (None, ["torn", 60.0], [1.0, 1 / 2]),
         (None, [1.0, "torn"], [1.0, 1 / 32]),
         (1 / 4, ["torn"], [1 / 4]),
     ],
@@ -57,10 +50,9 @@ def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkey
     assert tried == speeds
 
 
-@pytest.mark.parametrize("rate", ["0", "1"])
-def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, tmp_path, monkeypatch, capsys):
-    told = 'of 60 frame sets the tracker said "cam02 does not see your feet: turn cam02 down" in 58, '
-    reasons = [("cam02 does not see your feet: turn cam02 down",)] * 58 + [("no hull",)] * 2
+def test_a_demo_that_tracked_nobody_says_why_and_fails(tmp_path, monkeypatch, capsys):
+    why = "cam02 does not see your feet: turn cam02 down"
+    told, reasons = f'of 60 frame sets the tracker said "{why}" in 58, ', [(why,)] * 58 + [("no hull",)] * 2
     nobody = SimpleNamespace(
         bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=60.0,
         speed=1.0, track=[], usage={}, diagnostics={}, ages_ms={},
@@ -70,8 +62,6 @@ def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, tmp_path, monkeypat
     monkeypatch.setattr(demo, "run_live", lambda *arguments, **options: nobody)
     monkeypatch.setattr(demo, "finish_take", lambda bag: None)
     monkeypatch.chdir(tmp_path)
-    assert main(["demo", "--session", "any", "--rate", rate]) == 1
+    assert main(["demo", "--session", "any", "--rate", "0"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert f"tracked in none of 58 frame sets; {told}" in said
-    assert "holds no tracked body" not in said
-    assert "docs/tracking.md" in said
+    assert f"tracked in none of 58 frame sets; {told}" in said and "docs/tracking.md" in said

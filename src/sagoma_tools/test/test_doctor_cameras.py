@@ -20,14 +20,7 @@ from gige_vision import bootstrap
 from gige_vision.gvcp import DeviceRecord
 from sagoma_tools.cli import main
 from sagoma_tools.doctor import cameras
-from sagoma_tools.doctor.cameras import (
-    check_bandwidth,
-    check_control,
-    check_identity,
-    check_interface,
-    check_timing,
-    wire_bytes,
-)
+from sagoma_tools.doctor.cameras import check_bandwidth, check_control, check_identity, check_interface, check_timing
 from sagoma_tools.doctor.findings import Severity, about
 from sagoma_tools.doctor.machine import Interface
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_address
@@ -163,14 +156,14 @@ def test_what_does_not_serve_is_found_with_a_remedy(file, tmp_path, capsys, chan
     assert status in {"error": (2,), "warning": (1,)}.get(severity, (0, 1))  # of this machine there may be warnings
 
 
-LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
+LINK = Interface("enp3s0", "192.168.1.1", mtu=9000, speed_mbit=1000)
 RECORD = DeviceRecord("192.168.1.11", "Maker", "Model", serial="123", user_id="left", subnet_mask="255.255.255.0")
 SETTINGS = AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
 
 
 OTHER = replace(SETTINGS, user_id="right")
 FOR_LARGE_PACKETS = replace(SETTINGS, packet_size=8000)
-EACH = 100.0 * wire_bytes(640 * 480, LINK.mtu)  # 30.99 of 125 MB/s
+EACH = 100.0 * cameras.wire_bytes(640 * 480, LINK.mtu)  # 30.99 of 125 MB/s: 74 bytes of headers on each packet
 
 
 @pytest.mark.parametrize(
@@ -213,8 +206,3 @@ def test_program_that_controls_the_camera_is_named(monkeypatch, privilege, owner
     monkeypatch.setattr(cameras, "read_register", lambda address, register: told[register])
     finding = check_control(SETTINGS, LINK)
     assert finding.code == code and named in finding.what
-
-
-def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
-    # 300 packets of 1024 bytes of image each, and leader and trailer; 36 + 38 bytes of headers and gaps on each
-    assert wire_bytes(307_200, 1024 + 36) == 307_200 + 302 * 74

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from humaneva_files import marker_points, model_points, write_c3d, write_mp
-from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 from sagoma_tools.importers.formats import Mocap, Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
-from sagoma_tools.importers.humaneva_joints import Instants, joints, measures, segment
+from sagoma_tools.importers.humaneva_joints import joints, measures
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
@@ -34,7 +33,7 @@ def lens_of(path):
         (lens_of, CAL.replace("0 1 0", "0 -1 0"), "its R is not a rotation"),
         (lens_of, CAL.replace("700", "-700"), r"focal lengths \[-700"),
         (lens_of, CAL.replace("\n0\n", "\n0.01\n"), r".*skew 0\.01"),
-        *((read_ofs, text, "") for text in ("1 2", "1 2 0", "1 2 -2", "1 2 two", "")),
+        *((read_ofs, text, "") for text in ("1 2", "1 2 0", "1 2 -2")),
     ],
 )
 def test_damaged_cal_or_ofs_is_refused_by_name(tmp_path, read, text, message):
@@ -45,43 +44,42 @@ def test_damaged_cal_or_ofs_is_refused_by_name(tmp_path, read, text, message):
 
 
 def test_mp_measures_are_found_by_name(tmp_path):
-    found = read_mp(write_mp(tmp_path / "S2.mp"), ("LShoulderOffset", "RShoulderOffset"))
-    assert found == {"LShoulderOffset": 46.0, "RShoulderOffset": 52.0}
-    with pytest.raises(InputError, match=r"S2\.mp: has no line '\$ShoeSize = number'"):
-        read_mp(tmp_path / "S2.mp", ("ShoeSize",))
-    with pytest.raises(InputError, match=r"S9\.mp: cannot be read"):
-        read_mp(tmp_path / "S9.mp", ("ShoeSize",))
+    path = write_mp(tmp_path / "S2.mp")
+    assert read_mp(path, ("LShoulderOffset", "RShoulderOffset")) == {"LShoulderOffset": 46.0, "RShoulderOffset": 52.0}
+    for name, message in (
+        ("S2.mp", r"S2\.mp: has no line '\$ShoeSize = number'"),
+        ("S9.mp", r"S9\.mp: cannot be read"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_mp(tmp_path / name, ("ShoeSize",))
 
 
 def test_c3d_in_metres_is_read_as_millimetres_unseen_points_are_unknown_and_missing_ones_are_named(tmp_path):
     written = tracks()
     written["C7"][2] = 0.0
-    path = write_c3d(
-        tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, 120.0, "m", "Chris:"
-    )
-    mocap = read_c3d(path)
-    assert mocap.rate_hz == 120.0
-    assert mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
-    assert np.isnan(mocap.track_mm("C7")[2]).all()
-    assert mocap.track_mm("NONE", "C7") is not None  # either of two names
+    in_metres = {label: track / 1000 for label, track in written.items()}
+    mocap = read_c3d(write_c3d(tmp_path / "x.c3d", in_metres, 120.0, "m", "Chris:"))
+    assert mocap.rate_hz == 120.0 and mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
+    assert np.isnan(mocap.track_mm("NONE", "C7")[2]).all()  # either of two names
     with pytest.raises(InputError, match=r"x\.c3d: has no point labelled LFRM or LFRA"):
         mocap.track_mm("LFRM", "LFRA")
 
 
-def test_damaged_c3d_is_refused_by_name(tmp_path):
-    whole = write_c3d(tmp_path / "x.c3d", tracks(frames=40)).read_bytes()
-    for content, message in (
-        (whole[:-200], r"x\.c3d: ends after 36 of 40 frames"),
-        (whole[:300], r"x\.c3d: is not a readable \.c3d"),
-        (b"RIFF" + whole, r"x\.c3d: is not a readable \.c3d"),
-        (b"", r"x\.c3d: is not a readable \.c3d"),
-    ):
-        (tmp_path / "x.c3d").write_bytes(content)
-        with pytest.raises(InputError, match=message) as caught:
-            read_c3d(tmp_path / "x.c3d")
-        assert caught.value.remedy
-    with pytest.raises(InputError, match=r"Walking_2\.c3d: cannot be read .*--no-truth"):
-        read_c3d(tmp_path / "Walking_2.c3d")
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda path, whole: path.write_bytes(whole[:-200]), r"x\.c3d: ends after 36 of 40 frames"),
+        (lambda path, whole: path.write_bytes(whole[:300]), r"x\.c3d: is not a readable \.c3d"),
+        (lambda path, whole: path.write_bytes(b"RIFF" + whole), r"x\.c3d: is not a readable \.c3d"),
+        (lambda path, whole: path.unlink(), r"x\.c3d: cannot be read .*--no-truth"),
+    ],
+)
+def test_damaged_c3d_is_refused_by_name(tmp_path, damage, message):
+    path = write_c3d(tmp_path / "x.c3d", tracks(frames=40))
+    damage(path, path.read_bytes())
+    with pytest.raises(InputError, match=message) as caught:
+        read_c3d(path)
+    assert caught.value.remedy
 
 
 # --- The common clock of cameras and motion capture, from their offsets alone.
@@ -138,35 +136,11 @@ def test_torso_leans_back_and_upper_arms_turn_back(person):
     assert found["Pelvis"][0] == pytest.approx([950, 0, 0])
     neck = [1000 + (-50 - 400 * np.sin(lean)) / 2, 0, (400 * np.cos(lean) + 400) / 2]
     assert found["Neck"][0] == pytest.approx(neck)
-    assert neck[0] < 950  # behind the pelvis's point
     # the upper arm: 300 long, turned back by atan(30 / 300); the forearm, 250 long, starts there and is turned forward
     turn = np.arctan2(30.0, 300.0)
     elbow = [1000 - 300 * np.sin(turn), 200, 400 - 300 * np.cos(turn)]
     assert found["LElbow"][0] == pytest.approx(elbow)
     assert found["LWrist"][0] == pytest.approx([elbow[0] + 250 * np.sin(turn), 200, elbow[2] - 250 * np.cos(turn)])
-
-
-def test_segment_axes_turn_evenly_between_two_mocap_frames():
-    begin, turn = Rotation.from_euler("xyz", [0.4, -0.3, 2.0]), np.array([0.2, -0.9, 0.5])
-    end = Rotation.from_rotvec(turn) * begin
-    origins = np.array([[100.0, 200, 300], [200.0, 250, 310]])
-    points = np.array([[o, *(o + 80 * R.as_matrix().T)] for o, R in zip(origins, (begin, end), strict=True)])
-    mocap = Mocap(None, {"PELO": 0, "PELA": 1, "PELL": 2, "PELP": 3}, points, 120.0)
-    pelvis = segment(mocap, Instants.of(np.array([1.0, 1.25, 2.0]), 2), "PEL")
-    for k, share in enumerate((0.0, 0.25, 1.0)):
-        expected = Rotation.from_rotvec(share * turn) * begin
-        assert (Rotation.from_matrix(pelvis.R_world_segment[k]) * expected.inv()).magnitude() < 1e-9
-        assert pelvis.origin_mm[k] == pytest.approx(origins[0] + share * (origins[1] - origins[0]))
-
-
-@pytest.mark.parametrize("label", ["C7", "RFRA", "LTOE", "TRXO", "PELL", "LHUP", "RTIO", "LFEP"])
-def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
-    points, R_torso = (a[::20] for a in person)
-    mocap = mocap_of(points, R_torso)
-    mocap.points_mm[9, mocap.column[label]] = np.nan  # mocap frame 10
-    positions = np.array([8.0, 9.0, 9.01, 9.5, 10.0, 10.99, 11.0, 12.0])
-    _, valid = joints(mocap, positions, *SIZES)
-    assert valid.tolist() == [True, True, False, False, False, False, True, True]
 
 
 def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_invalid(person):

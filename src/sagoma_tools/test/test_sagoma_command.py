@@ -64,20 +64,6 @@ def test_compare_tells_equal_from_different_bags_and_refuses_those_without_outpu
     assert "neither bag holds" in capsys.readouterr().err
 
 
-def test_recover_says_what_is_there_instead_of_a_damaged_bag(tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "file.mcap").write_bytes(b"")
-    folder = "Give the folder that holds one .mcap file"
-    for name, said, remedy in (
-        ("missing", "there is no such", folder),
-        ("file.mcap", "there is no such", folder),
-        ("empty", "holds no .mcap", folder),
-    ):
-        assert main(["recover", str(tmp_path / name)]) == 2
-        error = capsys.readouterr().err
-        assert f"{tmp_path / name}: {said}" in error and remedy in error
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -104,10 +104,7 @@ def built_in_session(folder: Path, console: Console) -> Path:
 
 
 def unsound(sets: int, answered: int, tracked: int) -> str:
-    """Say why a capture is not sound; empty when it is.
-
-    sets : that the cameras' clients sent; answered, tracked : of these.
-    """
+    """Say why a capture is not sound, of the sets that the clients sent; empty when it is."""
     if answered < KEPT_UP * sets:
         return f"only {answered} of {sets} frame sets were answered"
     if tracked < TRACKED * answered:
@@ -118,9 +115,8 @@ def unsound(sets: int, answered: int, tracked: int) -> str:
 def pace(live: LiveRun, cameras: int, fps: float) -> str:
     """Say which rate the machine held of the cameras', or at which speed their time ran instead."""
     if live.speed < 1:
-        return (
-            f"shown at {Fraction(live.speed).limit_denominator(1000)} of the speed of {cameras} cameras at {fps:g} Hz"
-        )
+        speed = Fraction(live.speed).limit_denominator(1000)
+        return f"shown at {speed} of the speed of {cameras} cameras at {fps:g} Hz"
     if live.hz_held > KEPT_UP * fps:
         return f"this machine holds all the cameras' {fps:g} Hz"
     return f"this machine holds {live.hz_held:.0f} Hz of the cameras' {fps:g} Hz; all left out the same frames"
@@ -129,15 +125,13 @@ def pace(live: LiveRun, cameras: int, fps: float) -> str:
 def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
     """Say what to do about a capture that is not sound.
 
-    rate : of the footage, None of cameras; reasons : of each set, why nobody was tracked in it, where that is what is
-    wrong.
+    rate : of the footage, None of cameras; reasons : of each set, why nobody was tracked in it, where that is wrong.
     """
     if any(reasons):
         return f"{explain(reasons)}. {REMEDY}"
-    if rate == 0.0:  # nothing is dropped, however busy the machine
-        return "look into the logs of the nodes"
-    busy = busy_machine() or "look into the logs of the nodes"
-    return f"read the videos as fast as this machine can (--rate 0); {busy}"
+    logs = "look into the logs of the nodes"
+    slower = f"read the videos as fast as this machine can (--rate 0); {busy_machine() or logs}"
+    return logs if rate == 0.0 else slower  # at 0 nothing is dropped, however busy the machine
 
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
@@ -154,8 +148,7 @@ def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
 
 
 def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
-    """Return the run's figures as plain data for the line of JSON; exposure to joint state where stamps are those of
-    exposures."""
+    """Return the run's figures as plain data for JSON; exposure to joint state where stamps are those of exposures."""
     ages_ms = np.percentile(live.ages_ms["published_ms"], [50, 95]).round(1).tolist() if live.ages_ms else ()
     return {
         "sets": live.sets,

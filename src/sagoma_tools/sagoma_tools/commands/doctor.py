@@ -30,11 +30,8 @@ DESCRIPTION = (
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
-    parser = subparsers.add_parser(
-        "doctor",
-        help="examine this machine, a rig, a camera PC, the running graph: findings with remedies",
-        description=DESCRIPTION,
-    )
+    help_text = "examine this machine, a rig, a camera PC, the running graph: findings with remedies"
+    parser = subparsers.add_parser("doctor", help=help_text, description=DESCRIPTION)
     option = parser.add_argument
     help_camera = "a camera's parameter file (any number of times)"
     option("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path, help=help_camera)
@@ -49,11 +46,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--seconds", type=number("s", 0.1, 3600), default=ANSWER_S, help="how long to listen (default: %(default)g)")
     help_host = "another machine of the graph: does it answer, which packets get there?"
     option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
-    option(
-        "--answer",
-        action="store_true",
-        help="serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C",
-    )
+    help_answer = "serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C"
+    option("--answer", action="store_true", help=help_answer)
     option("--no-machine", action="store_true", help="leave this machine out")
     option("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run)

@@ -43,15 +43,12 @@ def add_humaneva(kinds: argparse._SubParsersAction) -> None:
     parser.add_argument("output", type=Path, help="the session folder to write")
     parser.add_argument("--subject", required=True, help="S1 to S4")
     parser.add_argument("--action", required=True, help="Walking, Jog, ThrowCatch, Gestures, Box or Combo")
-    parser.add_argument(
-        "--trial", type=number("", 1, 3, whole=True), default=1, help="1 has footage and motion capture (default)"
-    )
+    trial, help_trial = number("", 1, 3, whole=True), "1 has footage and motion capture (default)"
+    parser.add_argument("--trial", type=trial, default=1, help=help_trial)
     help_cameras = ", ".join(CAMERAS)
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS, metavar="CAMERA", help=help_cameras)
-    help_frames = "the data set's own frame numbers, from 6 on (default: all)"
-    parser.add_argument(
-        "--frames", nargs=2, type=number("", 1, 1e6, whole=True), metavar=("FIRST", "LAST"), help=help_frames
-    )
+    frame, help_frames = number("", 1, 1e6, whole=True), "the data set's own frame numbers, from 6 on (default: all)"
+    parser.add_argument("--frames", nargs=2, type=frame, metavar=("FIRST", "LAST"), help=help_frames)
     parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
     parser.set_defaults(run=import_humaneva)
 

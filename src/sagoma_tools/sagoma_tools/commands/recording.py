@@ -59,17 +59,14 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_topics = "inputs: what cameras send, for the graph; outputs: the rest, for viewers"
     parser.add_argument("--topics", choices=("inputs", "outputs", "all"), default="inputs", help=help_topics)
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    help_clock = "publish the bag's time on /clock (HZ times a second), for nodes with use_sim_time"
-    parser.add_argument(
-        "--clock", nargs="?", type=number("Hz", 0.1, 10000), const=CLOCK_HZ, metavar="HZ", help=help_clock
-    )
+    rate, help_clock = number("Hz", 0.1, 10000), "publish the bag's time on /clock, for nodes with use_sim_time"
+    parser.add_argument("--clock", nargs="?", type=rate, const=CLOCK_HZ, metavar="HZ", help=help_clock)
     parser.add_argument("--lockstep", action="store_true", help="send the next frame set when the EKF has answered")
     parser.add_argument("--graph", action="store_true", help="with --lockstep: start the server's nodes for this run")
     parser.add_argument("--output", metavar="BAG", help="with --graph: record the graph's output into this bag")
     parser.add_argument("--rig", help="with --graph: rig YAML (default: the one in the bag's folder)")
     parser.add_argument("--body", help="with --graph: body YAML for the trackers")
     add_server_argument(parser)
-    parser.add_argument("--run-folder", help="with --graph: where logs go (default: output/replay-DATE-TIME)")
     add_settings_argument(parser)
     parser.set_defaults(run=replay)
 
@@ -115,7 +112,7 @@ def replay(args: argparse.Namespace) -> int:
     check_replay(args)
     with StopOnSignal() as stop:
         if args.graph:
-            run_folder = new_run_folder(args.run_folder, "replay")
+            run_folder = new_run_folder(None, "replay")
             settings = parse_settings(args.settings)
             graph = {"rig": args.rig, "body": args.body, "settings": settings, "server": args.server}
             report = replay_through_graph(args.bag, args.output, run_folder, **graph, cancel=stop)

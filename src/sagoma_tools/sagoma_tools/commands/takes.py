@@ -30,6 +30,7 @@ from ..takes.measure import ERROR, OK, WARNING, digests, finish_take, verify
 from ..takes.take import FIGURES, MIB, NOT_MEASURED, Summary, TakeState, date, figures, origin, remark, summary_lines
 
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
+OnATake = Callable[[argparse.Namespace, TakesFolder, str], int]
 CHECK_STYLE = {OK: "green", WARNING: "yellow", ERROR: "red"}
 
 
@@ -51,9 +52,7 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
         added.set_defaults(run=run)
         return added
 
-    def verb(
-        name: str, run: Callable[[argparse.Namespace, TakesFolder, str], int], text: str
-    ) -> argparse.ArgumentParser:
+    def verb(name: str, run: OnATake, text: str) -> argparse.ArgumentParser:
         added = of_all(name, lambda args: run(args, *chosen_take(args.take, args.takes)), text)
         added.add_argument("take", help="a take's name, or the folder of a bag")
         return added
@@ -70,9 +69,8 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     cut.add_argument("--from", dest="from_s", type=SECONDS, default=0.0, metavar="S", help="second at which it begins")
     cut.add_argument("--to", dest="to_s", type=SECONDS, metavar="S", help="second at which it ends (default: the end)")
     film = verb("video", video, "write a video of it: each camera's silhouettes, with everybody drawn")
-    film.add_argument(
-        "--output", metavar="FILE", help=f"mp4, webm (for browsers) or avi (default: TAKE/{EXPORTS}/{VIDEO})"
-    )
+    help_output = f"mp4, webm (for browsers) or avi (default: TAKE/{EXPORTS}/{VIDEO})"
+    film.add_argument("--output", metavar="FILE", help=help_output)
     verb("delete", delete, "move a take into the bin")
     back = of_all("restore", restore, "bring a deleted take back")
     back.add_argument("take", help="its name")
@@ -102,8 +100,7 @@ def list_takes(args: argparse.Namespace) -> int:
             console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state])
     if any(remark(take) == NOT_MEASURED for take in takes):
         console.print("not measured: `sagoma takes measure TAKE` measures it")
-    deleted = len(folder.deleted())
-    if deleted:
+    if deleted := len(folder.deleted()):
         console.print(f"{deleted} in the bin: `sagoma takes bin`")
     return 0
 

@@ -152,7 +152,7 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
         yield error("interface.none", f"there is no way to {settings.address} from this machine", remedy)
         return
     plug = f"Plug the cable in, or: sudo ip link set {link.name} up"
-    text = f"{link.name}, {link.address}/{link.netmask}, MTU {link.mtu}"
+    text = f"{link.name}, {link.address}, MTU {link.mtu}"
     yield graded("interface", text, (not link.up, error, "down", plug))
     jumbo = f"sudo ip link set {link.name} mtu {JUMBO_MTU} (and the same on the switch)"
     if settings.packet_size > link.mtu:

@@ -36,7 +36,7 @@ EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
 LATE_PERIODS, LATE_MS = 5, 200.0
 MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
 USUAL_PERIOD_S = 1 / 30
-NOTHING, ENOUGH_MASKS = 1e-5, 10
+NOTHING = 1e-5
 OLD_S, EARLY_S = 1.0, 5e-3
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
 RECOVERY = "docs/tracking.md"
@@ -147,10 +147,8 @@ def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
         remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
         yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
     if node.state is None:
-        text = (
-            f"{node.name} is known, but does not answer{' or report' if node.report is None else ''}: it died, hangs, "
-        )
-        yield error("node.silent", f"{text}is busy, or its packets do not get here", UNREACHABLE)
+        text = f"{node.name} is known, but does not answer{' or report' if node.report is None else ''}"
+        yield error("node.silent", f"{text}: it died, hangs, is busy, or its packets do not get here", UNREACHABLE)
     elif node.report is None:
         yield error("diagnostics.missing", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
     if node.state not in (None, ACTIVE):
@@ -236,13 +234,8 @@ def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
     others = [camera for camera in facts.seeing if camera != sent.camera]
     learn = f"Learn the background of the empty room again: sagoma background --cameras {sent.camera}"
     text = f"{100 * sent.share:.1f} % foreground, {sent.masks} came"
-    frozen = sent.masks >= ENOUGH_MASKS and not sent.changes and sent.share > NOTHING
     if sent.share < NOTHING and others:
         remedy = f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}"
         return warning("silhouettes.blank", f"blank, while {', '.join(others)} see a person", remedy)
-    return graded(
-        "silhouettes",
-        text,
-        (sent.share >= FLOODED, error, "flooded", f"The light or the camera was changed. {learn}"),
-        (frozen, error, "frozen", "The same one again and again: cycle the camera's power; see its client's message."),
-    )
+    flooded = (sent.share >= FLOODED, error, "flooded", f"The light or the camera was changed. {learn}")
+    return graded("silhouettes", text, flooded)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 from collections import Counter, deque
@@ -71,15 +70,13 @@ class SilhouetteFacts:
     """What one camera sent while the doctor listened.
 
     masks : silhouettes heard; lost : missing between the first and the last.
-    share : of foreground, the median of those decoded; changes : how many differed from the one before.
-    age_s : from capture to arrival here, the median.
+    share : of foreground, the median of those decoded; age_s : from capture to arrival here, the median.
     """
 
     camera: str
     masks: int = 0
     lost: int = 0
     share: float = 0.0
-    changes: int = 0
     age_s: float = 0.0
 
 
@@ -189,6 +186,5 @@ def silhouette_facts(camera: str, publishers: int, masks: Heard) -> SilhouetteFa
         len(data),
         lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
         share=median([float((mask > SHADOW_CANDIDATE).mean()) for mask in decoded if mask is not None] or [0.0]),
-        changes=sum(one != other for one, other in itertools.pairwise(data)),
         age_s=1e-9 * median(each["received_timestamp"] - to_ns(message.header.stamp) for message, each in masks),
     )

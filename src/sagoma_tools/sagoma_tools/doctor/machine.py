@@ -14,6 +14,7 @@ import psutil
 from rclpy.utilities import get_rmw_implementation_identifier
 
 import hull_server
+from camera_client.gige import discovery
 from camera_client.sources.aravis_source import import_aravis
 from sagoma_ros.middleware import PROFILE_VARIABLE
 
@@ -152,7 +153,6 @@ class Interface:
 
     name: str
     address: str
-    netmask: str
     mtu: int
     speed_mbit: int
     up: bool = True
@@ -164,13 +164,9 @@ class Interface:
 
 def interfaces() -> list[Interface]:
     """Return those with an IPv4 address, in the order of their names."""
-    states, found = psutil.net_if_stats(), []
-    for name, addresses in sorted(psutil.net_if_addrs().items()):
-        for ours in [entry for entry in addresses if entry.family == socket.AF_INET and name in states][:1]:
-            its = states[name]
-            mask = ours.netmask or "255.255.255.255"
-            found.append(Interface(name, ours.address, mask, its.mtu, its.speed, its.isup))
-    return found
+    states, found = psutil.net_if_stats(), sorted((each.name, each.host) for each in discovery.interfaces())
+    of_each = [(name, host, states[name]) for name, host in found if name in states]
+    return [Interface(name, host, its.mtu, its.speed, its.isup) for name, host, its in of_each]
 
 
 def interface_to(address: str) -> Interface | None:
