@@ -169,11 +169,16 @@ def _cast(camera, edge, row):  # type: ignore[no-untyped-def]
 
 @kernel
 def _touch(camera, hull, sigma_per_depth, row):  # type: ignore[no-untyped-def]
-    """Write the interval in which the row's ray can touch the hull; return whether it can."""
+    """Write the interval in which the row's ray can touch the hull; return whether it can.
+
+    A ray that misses the hull is tried again a voxel further inside.
+    """
     x = (camera.centre[0] - hull.corner[0]) / hull.voxel_m
     y = (camera.centre[1] - hull.corner[1]) / hull.voxel_m
     z = (camera.centre[2] - hull.corner[2]) / hull.voxel_m
     begin, end = ray_hull_interval(hull, (x, y, z), row[3:6])
+    if begin == end:
+        begin, end = ray_hull_interval(hull, (x - row[6], y - row[7], z - row[8]), row[3:6])
     if begin == end:
         return False
     middle, depth = 0.5 * (begin + end), camera.P[2, 3]
