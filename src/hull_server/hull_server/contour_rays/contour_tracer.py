@@ -51,8 +51,7 @@ class ContourTracer:
 
         levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
         may be shadow, or are uncertain, get a larger sigma. At most ``per_camera`` rays a camera, evenly along the
-        outlines, deterministic. As body they carry the number of their part. InputError for a camera that is not in the
-        rig, and for a mask of the wrong size.
+        outlines, deterministic. As body they carry the number of their part.
         """
         present = self._views.present(masks)
         if not len(runs.starts) or not self._limits[0]:
