@@ -96,8 +96,7 @@ class ShadowResolver:
         """Return masks of one instant, of the levels of ``capture_rig.mask_levels``, their attenuated pixels that may
         be shadow as SHADOW_CANDIDATE.
 
-        The masks that come in are not written to. InputError for a camera that is not in the rig, and for a mask of the
-        wrong size.
+        The masks that come in are not written to.
         """
         self._views.present(masks)
         resolved = dict(masks)

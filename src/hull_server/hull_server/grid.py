@@ -91,10 +91,6 @@ class BrickVolume:
     leaves: npt.NDArray[np.uint64]
 
     @classmethod
-    def empty(cls, grid: VoxelGrid) -> BrickVolume:
-        return cls(grid, np.zeros(0, np.uint32), np.zeros((0, BRICK_EDGE), np.uint64))
-
-    @classmethod
     def from_dense(cls, grid: VoxelGrid, occupied: npt.NDArray[np.bool_]) -> BrickVolume:
         """Pack a dense (nx, ny, nz) array, nonzero where occupied."""
         x, y, z = grid.brick_shape

@@ -49,7 +49,6 @@ class HullNode(SagomaNode):
         self._canvases: dict[str, CameraModel] = {}
         self._newest: HullResult | None = None
         self.health.describe(self._describe)
-        self._left_out: tuple[str, ...] = ()
         self._thinning = ThinningControl()  # keeps every frame unless an overload control updates it
         self._overload: OverloadControl | None = None
         self._closing: list[Callable[[], object]] = []  # releases what configure has opened
@@ -182,12 +181,12 @@ class HullNode(SagomaNode):
         """Update the state that the diagnostics show; log what has changed."""
         if result.empty:
             self.health.count("sets_empty")
+        before = set(self._newest.camera_faults.left_out) if self._newest else set()
         self._newest, faults = result, result.camera_faults
-        for camera in {*faults.left_out} - {*self._left_out}:
+        for camera in {*faults.left_out} - before:
             self.get_logger().warning(f"left out: {faults.reasons[camera]}")
-        for camera in {*self._left_out} - {*faults.left_out}:
+        for camera in before - {*faults.left_out}:
             self.get_logger().info(f"used again: {camera} agrees with the others")
-        self._left_out = faults.left_out
         if self.silhouettes is None or not self.silhouettes.refused:
             level, text = summarise(result)
             thinned = self._thinning.summary

@@ -74,7 +74,7 @@ class ThinningControl:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._selector = FrameSelector(lapse_ns=None)
+        self._selector = FrameSelector(lapse_ns=math.inf)
         self._stamps: deque[int] = deque(maxlen=STAMPS_KEPT)  # of sets since the exposures were sought anew
         self._offered_hz: float | None = None  # sets that the cameras take a second
         self._limit_hz, self._cause = math.inf, ""  # the most sets a second, and the sign of the last overload

@@ -52,11 +52,6 @@ class RigViews:
         """The index of each camera in all arrays."""
         return {name: index for index, name in enumerate(self.names)}
 
-    @cached_property
-    def _shapes(self) -> dict[str, tuple[int, int]]:
-        """Rows and columns of each camera's canvas."""
-        return {name: (height, width) for name, (width, height) in zip(self.names, self.sizes.tolist(), strict=True)}
-
     @classmethod
     def from_rig(cls, rig: Rig) -> RigViews:
         """Compute the views of all cameras; InputError when the rig has too few or too many cameras, or an oversized
@@ -81,8 +76,8 @@ class RigViews:
 
     @cached_property
     def focal_px(self) -> npt.NDArray[np.float64]:
-        """The focal lengths (N,), from the second row of the projections, across the optical axis."""
-        return np.linalg.norm(np.cross(self.P[:, 1, :3], self.P[:, 2, :3]), axis=1)
+        """The focal lengths (N,): the part of a projection's first row across the optical axis."""
+        return np.linalg.norm(np.cross(self.P[:, 0, :3], self.P[:, 2, :3]), axis=1)
 
     def px_per_m(self, volume: Volume) -> npt.NDArray[np.float64]:
         """Return the scales (N,) in the middle of a volume, at least half a metre away."""
@@ -97,8 +92,8 @@ class RigViews:
         for name, mask in masks.items():
             if name not in self.number:
                 raise InputError(f"there is no camera '{name}' in the rig", remedy=f"Known: {', '.join(self.names)}.")
-            if mask.shape != self._shapes[name] or mask.dtype != np.uint8:
-                height, width = self._shapes[name]
+            width, height = self.sizes[self.number[name]].tolist()
+            if mask.shape != (height, width) or mask.dtype != np.uint8:
                 raise InputError(
                     f"the mask is {mask.shape} {mask.dtype}, not ({height}, {width}) uint8",
                     where=name,

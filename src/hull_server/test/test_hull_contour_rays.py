@@ -173,7 +173,7 @@ def test_an_empty_silhouette_and_an_empty_hull_have_no_rays(rig, person):
     blank = masks | {"cam01": np.zeros_like(masks["cam01"])}
     rays = traced(pipeline, blank, volume)
     assert set(rays.camera) == {1, 2, 3, 4, 5}
-    empty = BrickVolume.empty(pipeline.grid)
+    empty = BrickVolume.from_dense(pipeline.grid, np.zeros(pipeline.grid.shape, bool))
     assert len(traced(pipeline, masks, empty)) == 0
 
 

@@ -22,7 +22,7 @@ class FakeContext(GlContext):
         super().__init__(hardware)
 
     def _displays(self, hardware):
-        return iter((name, name) for name in self.offers)
+        return iter((name, lambda name=name: name) for name in self.offers)
 
     def _create(self):
         if self.offers[self._display] is NO_DRIVER:

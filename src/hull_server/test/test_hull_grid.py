@@ -88,7 +88,7 @@ def test_mesh_is_closed_even_where_the_hull_ends_with_the_grid():
 
 def test_mesh_of_an_empty_hull_is_refused_with_a_remedy():
     with pytest.raises(InputError, match="empty"):
-        surface_mesh(BrickVolume.empty(GRID))
+        surface_mesh(BrickVolume.from_dense(GRID, np.zeros(GRID.shape, bool)))
 
 
 def test_ply_read_by_trimesh_holds_the_same_vertices_and_faces(tmp_path):

@@ -1,12 +1,14 @@
 """From frame sets of silhouettes to the published quantities, without ROS."""
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 
 import numpy as np
 import pytest
 from hull_scenes import capsule_person, distance_to_axes, ring_rig, silhouettes
 
 from hull_server.hull_pipeline import HullPipeline
+from hull_server.hull_ros import summarise
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
 
@@ -57,6 +59,21 @@ def test_two_threads_that_overlap_sets_change_no_byte(scene):
         waiting = [slicer.submit(overlapped.finish, overlapped.begin(each)) for each in sets]
     for one, two in zip(map(alone.run, sets), [each.result() for each in waiting], strict=True):
         assert all_bytes(one, one.support) == all_bytes(two, two.support)
+
+
+def test_covered_camera_is_left_out_and_named_and_taken_back(scene):
+    pipeline, masks = HullPipeline(scene[0], CPU), scene[2]
+    covered, steps = masks | {"cam04": np.zeros_like(masks["cam04"])}, count()
+
+    def run_until(left_out, shown):
+        while (result := pipeline.run(frame_set(shown, next(steps) * 100_000_000))).camera_faults.left_out != left_out:
+            assert next(steps) < 200
+        return result
+
+    whole, without = run_until((), masks), run_until(("cam04",), covered)
+    assert without.volume.litres > 0.95 * whole.volume.litres and "cam04" not in without.masks
+    assert "cam04 contradicts" in summarise(without)[1]
+    assert "cam04" in run_until((), masks).masks
 
 
 def test_two_people_are_two_bodies_with_points_voxels_and_rays_of_their_own():

@@ -6,10 +6,11 @@ waited for once it has delivered a later stamp, for stamps may not go back; nor 
 that instant; nor, where the collector may give up, once several sets in a row have missed it, until it is heard again.
 Sets leave in stamp order; a frame that comes after its set has left is late: counted, never mixed into another set.
 
-The rig's time is the median of its cameras' newest stamps: one camera never moves it, most do. A frame leaps that is
+The rig's time is the median of its cameras' newest stamps: one camera never moves it, most do. A frame jumps that is
 more than a quarter of a second ahead of the rig, or behind what its own camera sent last, and is held for two frame
-periods. When the median has leapt (footage or a bag started again, a pause, a clock that was set) the held frames begin
-anew there; else they are dropped and counted. A camera that lags, its own stamps going on, does not leap: it is late.
+periods. When the median has jumped (footage or a bag started again, a pause, a clock that was set) the held frames
+begin anew there; else they are dropped and counted. A camera that lags, its own stamps going on, does not jump: it is
+late.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class FrameSetCollector(Generic[T]):
         self.tolerance_ns, self.deadline_ns, self.max_open, self.give_up = tolerance_ns, deadline_ns, max_open, give_up
         self.counters = Counters()
         self._jump_ns = max(TIME_JUMP_NS, JUMP_TOLERANCES * tolerance_ns)
-        self._time_ns = 0  # of the rig: it leaps to its first frame
+        self._time_ns = 0  # of the rig: it jumps to its first frame
         self._newest: dict[str, Arrival[T]] = {}  # of each camera, wherever it is
         self._held: list[Arrival[T]] = []  # in no set, or not yet
         self._begin()
@@ -176,7 +177,7 @@ class FrameSetCollector(Generic[T]):
     def _held_for_ns(self) -> int:
         return self.deadline_ns + HELD_TOLERANCES * self.tolerance_ns
 
-    def _leaps(self, arrived: Arrival[T]) -> bool:
+    def _jumps(self, arrived: Arrival[T]) -> bool:
         """Return whether a frame is far ahead of the rig, or far behind its own camera's last (the oldest open set)."""
         tail_ns = min([self._time_ns, *(each.stamp_ns for each in self._open[:1])])
         behind_ns = self._last_ns.get(arrived.camera, tail_ns) - arrived.stamp_ns
@@ -185,18 +186,18 @@ class FrameSetCollector(Generic[T]):
     def _follow_majority(self, now_ns: int) -> list[FrameSet[T]]:
         """Take the held frames that are where the rig is; drop the others once there was time for every camera's.
 
-        The rig leaps when all its cameras have, or at the end of that time when most have that were heard within it.
+        The rig jumps when all its cameras have, or at the end of that time when most have that were heard within it.
         """
         due_ns, was_ns = self._held[0].arrival_ns + self._held_for_ns, self._time_ns
         over = now_ns >= due_ns or len(self._held) > self.max_open * len(self.names)
         heard = [n for n in self._newest.values() if n.arrival_ns >= min(now_ns, due_ns) - self._held_for_ns]
-        votes = sorted(n.stamp_ns if self._leaps(n) else max(n.stamp_ns, was_ns) for n in heard)
+        votes = sorted(n.stamp_ns if self._jumps(n) else max(n.stamp_ns, was_ns) for n in heard)
         middle = votes[(len(votes) - 1) // 2], votes[len(votes) // 2]
         time_ns = min(middle, key=lambda vote: abs(vote - was_ns))
         closed: list[FrameSet[T]] = []
         if abs(time_ns - was_ns) <= self._jump_ns:
             self._time_ns = time_ns
-        elif over or all(map(self._leaps, self._newest.values())):
+        elif over or all(map(self._jumps, self._newest.values())):
             closed = self._close(len(self._open))
             if time_ns < was_ns:
                 self.counters.restarts += 1
@@ -204,7 +205,7 @@ class FrameSetCollector(Generic[T]):
             self._time_ns = time_ns
         held, self._held = self._held, []
         for each in held:
-            if not self._leaps(each):
+            if not self._jumps(each):
                 self._add_here(each)
             elif not over:
                 self._held.append(each)

@@ -61,33 +61,28 @@ def nearest_fraction(share: float) -> tuple[int, int]:
 class FrameSelector:
     """Says which frames the rules in force keep; the rule before the newest one holds up to its ``from_ns``.
 
-    lapse_ns : a rule that thins lapses when it was not published again for so long; None: never. Times are monotonic.
+    lapse_ns : a rule that thins lapses when it was not published again for so long. Times are monotonic.
+    newest : the rule published last.
     """
 
-    def __init__(self, lapse_ns: int | None = LAPSE_NS) -> None:
+    def __init__(self, lapse_ns: float = LAPSE_NS) -> None:
         self._lapse_ns = lapse_ns
-        self._before, self._newest = EVERY_FRAME, EVERY_FRAME
+        self._before = self.newest = EVERY_FRAME
         self._published_ns = 0
-
-    @property
-    def newest(self) -> FrameDecimation:
-        """The rule published last."""
-        return self._newest
 
     def update(self, rule: FrameDecimation, now_ns: int) -> None:
         """Use a rule from now on; the same one again is only refreshed."""
         if self._is_lapsed(now_ns):
-            self._newest = EVERY_FRAME
+            self.newest = EVERY_FRAME
         self._published_ns = now_ns
-        if rule != self._newest:
-            self._before, self._newest = self._newest, rule
+        if rule != self.newest:
+            self._before, self.newest = self.newest, rule
 
     def keeps(self, stamp_ns: int, now_ns: int) -> bool:
         """Return whether the frame of this stamp is kept."""
         if self._is_lapsed(now_ns):
             return True
-        rule = self._newest if stamp_ns >= self._newest.from_ns else self._before
-        return rule.keeps(stamp_ns)
+        return (self.newest if stamp_ns >= self.newest.from_ns else self._before).keeps(stamp_ns)
 
     def _is_lapsed(self, now_ns: int) -> bool:
-        return self._lapse_ns is not None and now_ns - self._published_ns > self._lapse_ns
+        return now_ns - self._published_ns > self._lapse_ns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -39,19 +40,7 @@ def pixel_projections(views: RigViews, grid: VoxelGrid) -> npt.NDArray[np.float6
 
 def summed_area(images: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
     """Return summed-area tables (N, H + 1, W + 1) of the nonzero pixels of (N, H, W) images."""
-    tables = np.zeros((images.shape[0], images.shape[1] + 1, images.shape[2] + 1), np.int32)
-    _sum_areas(images, tables)
-    return tables
-
-
-@kernel
-def _sum_areas(images, tables):  # type: ignore[no-untyped-def]
-    for image in range(images.shape[0]):
-        for row in range(images.shape[1]):
-            pixels, above, below, total = images[image, row], tables[image, row], tables[image, row + 1], 0
-            for column in range(pixels.size):
-                total += pixels[column] != 0
-                below[column + 1] = above[column + 1] + total
+    return np.stack([cv2.integral(np.minimum(image, 1)) for image in images])
 
 
 def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDArray[np.int32]) -> BlockBoxes:

@@ -70,7 +70,7 @@ class CameraFaultDetector:
         self._fewest = max(FEWEST_VOTERS, min_seeing)
         self._records = [_CameraRecord() for _ in views.names]
         self._conflict = 0.0
-        self._faults = replace(self._summary((), {}), updated=False)
+        self._faults = CameraFaults(means=dict.fromkeys(views.names, CameraResiduals()))
 
     def update(self, masks: Masks, stamp_ns: int) -> CameraFaults:
         """Compare one frame set's canvas masks (h, w) uint8, nonzero = foreground, once a period.
@@ -79,30 +79,26 @@ class CameraFaultDetector:
         or a mask of the wrong size.
         """
         step_s = self._throttle.step_s(stamp_ns) if self.settings.enabled else 0.0
+        self._faults = replace(self._faults, updated=False)
         if step_s <= 0.0:
-            return replace(self._faults, updated=False)
-        # blank and excluded cameras are compared, but cannot veto
-        voters, others = self._choose_voters(masks)
-        residuals = self._estimator.estimate(voters, others)
-        if residuals is None:
-            return replace(self._faults, updated=False)
-        self.occluders.learn(residuals, step_s)
-        shows_body = residuals.body_litres >= PERSON_LITRES
-        if not shows_body.any():  # there is no body to compare by
-            return replace(self._faults, updated=False)
-        for slot in np.flatnonzero(shows_body):
-            self._test_camera(residuals, int(slot), step_s)
-        self._conflict += self._gain(step_s) * (residuals.unexplained - self._conflict)
-        self._faults = self._decide([camera for camera, name in enumerate(self.names) if name in masks])
-        return self._faults
-
-    def _choose_voters(self, masks: Masks) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Set all masks; return the cameras that can veto, and the others."""
+            return self._faults
         present = self._views.present(masks).tolist()
         for camera in present:
             self._estimator.set_mask(camera, masks[self.names[camera]])
+        # blank and excluded cameras are compared, but cannot veto
         voters = tuple(c for c in present if self._estimator.shows(c) and not self._records[c].left_out)
-        return voters, tuple(c for c in present if c not in voters)
+        residuals = self._estimator.estimate(voters, tuple(c for c in present if c not in voters))
+        if residuals is None:
+            return self._faults
+        self.occluders.learn(residuals, step_s)
+        shows_body = residuals.body_litres >= PERSON_LITRES
+        if not shows_body.any():  # there is no body to compare by
+            return self._faults
+        for slot in np.flatnonzero(shows_body):
+            self._test_camera(residuals, int(slot), step_s)
+        self._conflict += self._gain(step_s) * (residuals.unexplained - self._conflict)
+        self._faults = self._decide(present)
+        return self._faults
 
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
         """Compare one camera's residuals with what is allowed, and with the next worst camera's."""
@@ -127,42 +123,35 @@ class CameraFaultDetector:
         records = self._records
         for record in records:
             if record.left_out and record.agreed_s >= self.settings.reinstate_s:
-                record.reinstate()
+                record.left_out, record.cusum_s, record.faulty_count = False, 0.0, 0
         used = [camera for camera in present if not records[camera].left_out]
         faulty = [camera for camera in used if records[camera].cusum_s >= DETECTION_S]
-        sound = [records[camera] for camera in used if camera not in faulty]
+        sound = len(used) - len(faulty)
         reasons = {
             name: why for name, why in self._faults.reasons.items() if records[self._views.number[name]].left_out
         }
-        for camera in sorted(faulty, key=lambda c: records[c].severity, reverse=True):
+        means = {camera: records[camera].faulty_mean for camera in faulty}
+        for camera in sorted(faulty, key=lambda c: means[c].veto_fraction + means[c].excess, reverse=True):
             name = self.names[camera]
-            reasons[name] = _reason(name, records[camera].faulty_mean, len(sound))
+            reasons[name] = _reason(name, means[camera], sound)
             if len(used) > self._fewest:
                 used.remove(camera)
                 records[camera].left_out, records[camera].agreed_s = True, 0.0
-        return self._summary(tuple(self.names[camera] for camera in faulty if camera in used), reasons)
+        suspects, warning = tuple(self.names[camera] for camera in faulty if camera in used), ""
+        left_out = tuple(name for name, record in zip(self.names, records, strict=True) if record.left_out)
+        if not suspects and self._conflict > EXCESS_ALLOWANCE:
+            names = ", ".join(name for name in self.names if name not in left_out)
+            warning = (
+                f"{names} contradict each other: {self._conflict:.0%} of what they show fits no common hull, and it "
+                "cannot be told which of them is wrong. Is somebody outside the volume, is a background old, or were "
+                "cameras moved since they were calibrated (the tracker says so once it follows somebody)?"
+            )
+        by_name = {name: record.mean for name, record in zip(self.names, records, strict=True)}
+        return CameraFaults(left_out, suspects, reasons, by_name, warning, updated=True)
 
     def _gain(self, step_s: float) -> float:
         """Return the weight of a new value in a running mean, which is as long as a camera must agree."""
         return 1.0 - float(np.exp(-step_s / self.settings.reinstate_s))
-
-    def _summary(self, suspects: tuple[str, ...], reasons: Mapping[str, str]) -> CameraFaults:
-        records = dict(zip(self.names, self._records, strict=True))
-        used, warning = [name for name, record in records.items() if not record.left_out], ""
-        if not suspects and self._conflict > EXCESS_ALLOWANCE:
-            warning = (
-                f"{', '.join(used)} contradict each other: {self._conflict:.0%} of what they show fits no common "
-                "hull, and it cannot be told which of them is wrong. Is somebody outside the volume, is a background "
-                "old, or were cameras moved since they were calibrated (the tracker says so once it follows somebody)?"
-            )
-        return CameraFaults(
-            left_out=tuple(name for name in records if name not in used),
-            suspects=suspects,
-            reasons=reasons,
-            means={name: record.mean for name, record in records.items()},
-            warning=warning,
-            updated=True,
-        )
 
 
 class _CameraRecord:
@@ -176,21 +165,14 @@ class _CameraRecord:
         self.left_out = False
         self.cusum_s, self.agreed_s = 0.0, 0.0
         self.mean = CameraResiduals()
-        self.faulty_mean, self._faulty_count = CameraResiduals(), 0
-
-    @property
-    def severity(self) -> float:
-        return self.faulty_mean.veto_fraction + self.faulty_mean.excess
+        self.faulty_mean, self.faulty_count = CameraResiduals(), 0
 
     def add_fault(self, residuals: CameraResiduals, fault: float, step_s: float) -> None:
         """Add ``fault``, limited to -1 ... 1, to the sum, which stays between 0 and DETECTION_S."""
         self.cusum_s = min(max(self.cusum_s + min(max(fault, -1.0), 1.0) * step_s, 0.0), DETECTION_S)
-        self._faulty_count = self._faulty_count + 1 if self.cusum_s > 0.0 else 0
-        if self._faulty_count:
-            self.faulty_mean = self.faulty_mean.moved(residuals, 1.0 / self._faulty_count)
-
-    def reinstate(self) -> None:
-        self.left_out, self.cusum_s, self._faulty_count = False, 0.0, 0
+        self.faulty_count = self.faulty_count + 1 if self.cusum_s > 0.0 else 0
+        if self.faulty_count:
+            self.faulty_mean = self.faulty_mean.moved(residuals, 1.0 / self.faulty_count)
 
 
 def _reason(name: str, mean: CameraResiduals, sound: int) -> str:

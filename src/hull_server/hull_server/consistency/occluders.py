@@ -33,7 +33,8 @@ class OccluderMap:
         self._views, self._estimator = views, estimator
         self._hiding_s, self._showing_s = (np.zeros(estimator.cells.shape, np.float32) for _ in range(2))
         self._hiding = np.zeros(estimator.cells.shape[1:], np.uint8)  # scratch memory
-        self._hidden: dict[str, npt.NDArray[np.uint8]] = {}  # levels (h, w) of the cameras that anything hides from
+        # of the cameras that anything hides from: cells (H, W), nonzero where hidden; the levels (h, w) of its pixels
+        self._hidden: dict[str, tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]] = {}
 
     def learn(self, residuals: Residuals, step_s: float) -> None:
         """Learn from the residuals of the estimator's last frame set."""
@@ -42,15 +43,18 @@ class OccluderMap:
                 continue
             denied, cells = self._estimator.denied_cells(residuals, slot), self._estimator.cells[camera]
             times = self._hiding_s[camera], self._showing_s[camera]
-            self._hidden.pop(self._views.names[camera], None)
+            name = self._views.names[camera]
+            known = self._hidden.pop(name, None)
             if _learn(np.float32(step_s), denied, cells, *times, self._hiding):
                 found = np.asarray(cv2.morphologyEx(self._hiding, cv2.MORPH_OPEN, LEAST_CELLS), np.uint8)
-                if found.any():
-                    self._hidden[self._views.names[camera]] = self._levels(camera, found)
+                if known is not None and np.array_equal(known[0], found):
+                    self._hidden[name] = known
+                elif found.any():
+                    self._hidden[name] = found, self._levels(camera, found)
 
     def applied(self, masks: Masks) -> dict[str, npt.NDArray[np.uint8]]:
         """Return the masks (h, w) of one instant, uncertain where an occluder hides the background."""
-        hidden = {name: levels for name, levels in self._hidden.items() if name in masks}
+        hidden = {name: levels for name, (_, levels) in self._hidden.items() if name in masks}
         # all but background is UNCERTAIN or higher
         return dict(masks) | {name: np.maximum(masks[name], levels) for name, levels in hidden.items()}
 

@@ -51,8 +51,7 @@ class ContourTracer:
 
         levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
         may be shadow, or are uncertain, get a larger sigma. At most ``per_camera`` rays a camera, evenly along the
-        outlines, deterministic. As body they carry the number of their part. InputError for a camera that is not in the
-        rig, and for a mask of the wrong size.
+        outlines, deterministic. As body they carry the number of their part.
         """
         present = self._views.present(masks)
         if not len(runs.starts) or not self._limits[0]:
@@ -169,11 +168,16 @@ def _cast(camera, edge, row):  # type: ignore[no-untyped-def]
 
 @kernel
 def _touch(camera, hull, sigma_per_depth, row):  # type: ignore[no-untyped-def]
-    """Write the interval in which the row's ray can touch the hull; return whether it can."""
+    """Write the interval in which the row's ray can touch the hull; return whether it can.
+
+    A ray that misses the hull is tried again a voxel further inside.
+    """
     x = (camera.centre[0] - hull.corner[0]) / hull.voxel_m
     y = (camera.centre[1] - hull.corner[1]) / hull.voxel_m
     z = (camera.centre[2] - hull.corner[2]) / hull.voxel_m
     begin, end = ray_hull_interval(hull, (x, y, z), row[3:6])
+    if begin == end:
+        begin, end = ray_hull_interval(hull, (x - row[6], y - row[7], z - row[8]), row[3:6])
     if begin == end:
         return False
     middle, depth = 0.5 * (begin + end), camera.P[2, 3]

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
@@ -50,9 +51,9 @@ class GlContext:
             raise NoGraphics(f"libEGL.so.1 or PyOpenGL is not installed ({error}; {remedy})") from None
         self._EGL, self._lock, self._context = EGL, threading.Lock(), None
         reasons = []
-        for description, display in self._displays(hardware):
-            self._display = display
+        for description, find in self._displays(hardware):
             try:
+                self._display = find()
                 self._context = self._create()
                 with self.current():
                     self.renderer = self._renderer()
@@ -91,8 +92,8 @@ class GlContext:
 
     # --- EGL
 
-    def _displays(self, hardware: bool | None) -> Iterator[tuple[str, Any]]:
-        """Yield the displays to try: hardware devices, software devices, the surfaceless platform, the default.
+    def _displays(self, hardware: bool | None) -> Iterator[tuple[str, Callable[[], Any]]]:
+        """Yield what finds the displays: of hardware devices, software devices, the surfaceless platform, the default.
 
         None where there is only software, which would take memory to say so, and hardware is wanted.
         """
@@ -112,9 +113,10 @@ class GlContext:
             return
         if get_display:
             for number, device in enumerate(sorted(known, key=is_software)):
-                yield f"EGL device {number}", get_display(platform_device.EGL_PLATFORM_DEVICE_EXT, device, None)
-            yield "surfaceless EGL", get_display(PLATFORM_SURFACELESS_MESA, None, None)
-        yield "default EGL display", EGL.eglGetDisplay(None)
+                of_device = platform_device.EGL_PLATFORM_DEVICE_EXT
+                yield f"EGL device {number}", partial(get_display, of_device, device, None)
+            yield "surfaceless EGL", partial(get_display, PLATFORM_SURFACELESS_MESA, None, None)
+        yield "default EGL display", partial(EGL.eglGetDisplay, None)
 
     def _create(self) -> Any:
         EGL = self._EGL
