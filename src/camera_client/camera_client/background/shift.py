@@ -60,7 +60,8 @@ class Displacement(NamedTuple):
         if self == Displacement():
             return picture.copy()
         height, width = picture.shape[:2]
-        A = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), -math.degrees(self.roll_rad), 1.0)
+        middle = (width - 1) / 2, (height - 1) / 2
+        A = np.array(cv2.getRotationMatrix2D(middle, -math.degrees(self.roll_rad), 1.0), float)
         A[:, 2] += self.right_px, self.down_px
         moved = cv2.warpAffine(picture, A, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(moved, np.float32).reshape(picture.shape)
