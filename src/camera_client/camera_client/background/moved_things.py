@@ -135,7 +135,6 @@ class MovedThings:
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
             self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
         if stamp_ns < self._last_ns:
-            self.others.forget_reports()
             self._restart()
         self._last_ns = stamp_ns
         step_s = self._throttle.step_s(stamp_ns)
