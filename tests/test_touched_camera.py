@@ -43,7 +43,7 @@ class Studio:
         return pipeline
 
     def most_px(self, pipeline):
-        return pipeline.background.state.displacement.most_px(self.light.shape)
+        return pipeline.background.shift.total.most_px(self.light.shape)
 
 
 @pytest.fixture(scope="module")
@@ -73,11 +73,11 @@ def test_moved_picture_is_followed_in_its_first_frame(studio, displacement, ligh
     pipeline = studio.run(studio.pipeline(), [4])
     before = iou(pipeline.silhouette.image_mask, studio.person)
     studio.run(pipeline, [5], lambda p: p * light, lambda p: moved(p, *displacement))
-    found = pipeline.background.state.displacement
+    found = pipeline.background.shift.total
     assert found[:2] == pytest.approx(displacement[:2], abs=0.1)
     assert found.roll_rad == pytest.approx(displacement[2], abs=3e-4)  # a tenth of a pixel in the corners
     assert iou(pipeline.silhouette.image_mask, moved(studio.person, *displacement)) > before - 0.05
-    assert pipeline.background.state.switches == (light != 1.0)
+    assert pipeline.background.lights.switches == (light != 1.0)
 
 
 @pytest.mark.parametrize(("shown", "ways_px"), [(4, (2.0, -1.5, 1.0, -0.7, 0.5)), (0, (0.6,))])
@@ -85,7 +85,7 @@ def test_camera_that_swings_or_lies_elsewhere_from_the_beginning_is_followed_in_
     pipeline = studio.run(SilhouettePipeline(studio.camera, studio.background), range(shown))
     for k, right_px in enumerate(ways_px, shown):
         studio.run(pipeline, [k], after=lambda p, px=right_px: moved(p, px, -0.2 * px))
-        assert pipeline.background.state.displacement[:2] == pytest.approx((right_px, -0.2 * right_px), abs=0.15)
+        assert pipeline.background.shift.total[:2] == pytest.approx((right_px, -0.2 * right_px), abs=0.15)
 
 
 def lamp(picture):
@@ -96,7 +96,7 @@ def lamp(picture):
 @pytest.mark.parametrize("change", [lambda p: p * 0.5, lamp])
 def test_other_light_moves_no_background(studio, change):
     pipeline = studio.run(studio.pipeline(), range(4, 8), change)
-    assert pipeline.background.state.switches == 1
+    assert pipeline.background.lights.switches == 1
     assert studio.most_px(pipeline) == 0
 
 

@@ -6,6 +6,7 @@ is said by :mod:`.background.causes`. No silhouette depends on either.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -15,6 +16,7 @@ from scipy.special import chdtri, ndtr
 
 from capture_rig.stamps import NS, StampThrottle
 
+from .background.adaptive import FixedBackground
 from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
 from .background.verdict import PERSON, describe_regions, find_regions
 from .frame_source import LASTING_S, REPORT_PERIOD_S
@@ -73,16 +75,19 @@ class ConditionWatch:
         None where it is not yet time to."""
         if self._throttle.step_s(stamp_ns) <= 0:
             return None
-        state, scale = self._pipeline.background.state, self._pipeline.scale
-        _spans(self._switches, stamp_ns, state.switches, RECENT_S)
+        background, scale = self._pipeline.background, self._pipeline.scale
+        if isinstance(background, FixedBackground):
+            return Condition(**self._things())
+        lights, shift = background.lights, background.shift
+        _spans(self._switches, stamp_ns, lights.switches, RECENT_S)
         return Condition(
-            light_gain=state.light.brightness,
-            light_flicker=state.flicker,
-            light_switches_recent=state.switches - self._switches[0][1],
-            noise_levels=state.noise.sigma(TYPICAL_LEVEL),
-            displacement_px=scale * state.displacement.most_px(self._pipeline.image_shape),
-            displacement_left_px=scale * state.left_px,
-            background_doubtful=state.doubtful,
+            light_gain=background.light.brightness,
+            light_flicker=math.sqrt(lights.flicker2),
+            light_switches_recent=lights.switches - self._switches[0][1],
+            noise_levels=background.noise.sigma(TYPICAL_LEVEL),
+            displacement_px=scale * shift.total.most_px(self._pipeline.image_shape),
+            displacement_left_px=scale * shift.left_px,
+            background_doubtful=background.expected.doubtful,
             **self._things(),
         )
 

@@ -199,7 +199,7 @@ def test_white_places_are_told_by_their_share(scene):
 def test_thesis_rules_measure_no_faint_person_and_follow_no_light(scene):
     room = Room(scene, rule="tail")
     room.see(3, lambda image, second: scene.with_person(image))
-    assert room.processor.condition.person_faint is None and room.processor.condition.light_gain == 1.0
+    assert room.processor.condition.person_faint is None and room.processor.condition.light_gain is None
 
 
 def test_figures_are_keys_of_the_diagnostics_before_and_after_there_is_a_background(scene):

@@ -95,7 +95,7 @@ class Room:
             cells = np.full((HEIGHT // CELL_PX, WIDTH // CELL_PX), says, np.uint8)
             self.waiting.append((stamp_ns, ForegroundSupport(stamp_ns, "cam01", CELL_PX, cells)))
         while self.waiting and self.waiting[0][0] <= stamp_ns - self.late_s * 1e9:
-            self.moved.take_report(self.waiting.pop(0)[1])
+            self.moved.others.add(self.waiting.pop(0)[1])
         return foreground
 
     def look(self, foreground):

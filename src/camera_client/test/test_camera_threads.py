@@ -74,14 +74,14 @@ def test_threads_change_no_byte_of_silhouettes_condition_and_background(colour, 
     for run in (one_thread, two_threads, three_threads):
         processor = take.processor()
         results = run(processor, take.frames)
-        pipeline, state = processor.pipeline, processor.pipeline.background.state
-        assert pipeline.scale == (2 if pixel_m else 1) and 0.7 < state.light.brightness < 0.9  # it is followed
+        pipeline, background = processor.pipeline, processor.pipeline.background
+        assert pipeline.scale == (2 if pixel_m else 1) and 0.7 < background.light.brightness < 0.9  # it is followed
         assert iou(results[-1].silhouette.image_mask, take.truth[take.order[-1]]) > 0.7
         told.append(
             [each.silhouette.mask.tobytes() + each.silhouette.image_mask.tobytes() for each in results]
             + [(each.flags, each.silhouette.foreground_fraction, each.movement.values()) for each in results]
-            + [processor.condition, state.noise.read.tobytes(), state.displacement]
-            + [state.light.gain.tobytes(), state.light.field.tobytes()]
+            + [processor.condition, background.noise.read.tobytes(), background.shift.total]
+            + [background.light.gain.tobytes(), background.light.field.tobytes()]
         )
     assert told[0] == told[1] == told[2]
     assert len(set(told[0][:FRAMES])) == FRAMES

@@ -11,7 +11,6 @@ far it is from the background, as a squared distance in sigmas.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -46,26 +45,11 @@ def samples_of(image: Image) -> Samples:
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class BackgroundState:
-    """What was measured in the last frame, for people.
-
-    light : against that when the background was learned. noise : of a pixel. displacement : followed so far. left_px :
-    displacement that is left, standard deviation. doubtful : share of the pixels that can tell little. switches : how
-    often the light changed suddenly. flicker : its standard deviation between frames, as a share.
-    """
-
-    light: Light
-    noise: Noise
-    displacement: Displacement
-    left_px: float
-    doubtful: float
-    switches: int = 0
-    flicker: float = 0.0
-
-
 class AdaptiveBackground:
-    """Follows one camera's background. One thread at a time; equal frames give equal bytes."""
+    """Follows one camera's background. One thread at a time; equal frames give equal bytes.
+
+    lights, shift, expected : what was measured in the last frame, of light, displacement and clipped pixels.
+    """
 
     step_px = STEP_PX
 
@@ -82,7 +66,7 @@ class AdaptiveBackground:
         channels = 1 if model.mean.ndim == 2 else model.mean.shape[2]
         self._noise = learned_noise(model) if measured else assumed_noise(model.provenance.mean_noise, channels)
         self._least_noise = self._noise if measured else assumed_noise(settings.sigma_floor, channels)
-        self._image = ExpectedImage(model, self._noise if measured else None, settings.sigma_floor)
+        self.expected = ExpectedImage(model, self._noise if measured else None, settings.sigma_floor)
         self.threshold = min(round(SCALE * float(chdtri(channels, settings.risk))), int(HIGHEST) - 1)
         height, width = model.shape[:2]
         step = max(1, math.isqrt(height * width // SAMPLES))
@@ -91,9 +75,9 @@ class AdaptiveBackground:
         )
         self._row, self._column = rows.reshape(-1), columns.reshape(-1)
         cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
-        self._light = LightEstimator(cell, channels)
+        self.lights = LightEstimator(cell, channels)
         self._coarseness = NoiseCorrelationMeter(self._row, self._column, width)
-        self._shift, self._aligner = ShiftEstimator((height, width)), aligner
+        self.shift, self._aligner = ShiftEstimator((height, width)), aligner
         self._block_px = block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
         self._sampled = self._indices(self._row, self._column)
@@ -111,35 +95,21 @@ class AdaptiveBackground:
     @property
     def light(self) -> Light:
         """The light now."""
-        return self._light.light
+        return self.lights.light
 
     @property
     def noise(self) -> Noise:
         """The noise now."""
         return self._noise
 
-    @property
-    def state(self) -> BackgroundState:
-        """What was measured in the last frame."""
-        shift = self._shift
-        return BackgroundState(
-            self.light,
-            self._noise,
-            shift.total,
-            shift.left_px,
-            self._image.doubtful,
-            self._light.switches,
-            math.sqrt(self._light.flicker2),
-        )
-
     def distance(self, image: Image, samples: Samples) -> Mask:
         """Return how far every ``step_px``-th pixel is from the background: min(255, SCALE z^2), (h, w) uint8."""
-        return self._image.distance(samples, self._today)
+        return self.expected.distance(samples, self._today)
 
     def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
         """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8 how
         far the image is from it: min(255, SCALE z^2), and grey levels. ``rows`` : what is looked at."""
-        return self._image.look(image, box, self._today, rows)
+        return self.expected.look(image, box, self._today, rows)
 
     # --- following
 
@@ -153,18 +123,18 @@ class AdaptiveBackground:
         first = self._last_ns is None
         step_s = USUAL_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         step_s, self._last_ns = min(max(step_s, 0.0), USUAL_S), stamp_ns
-        picture = image.reshape(self._image.shape)
+        picture = image.reshape(self.expected.shape)
         rest = self._follow_light(step_s)
         self._since_shift_s += step_s
-        measured = self._shift.measurable and (first or self._since_shift_s >= TURN_S)
+        measured = self.shift.measurable and (first or self._since_shift_s >= TURN_S)
         edges = self._edges(picture) if measured else None
         at_once = (  # what has moved at once
             edges is not None
-            and self._shift.is_restless(edges, self._since_shift_s, first)
+            and self.shift.is_restless(edges, self._since_shift_s, first)
             and self._align(picture, edges)
         )
         if at_once:
-            self._light.rollback()
+            self.lights.rollback()
             rest, edges = self._follow_light(step_s), self._edges(picture)
         self._follow_noise(rest, step_s, first)
         steps, at_once = MOST_STEPS, at_once or first  # without a cause, one step at a time
@@ -174,23 +144,23 @@ class AdaptiveBackground:
             steps -= 1
             edges = self._edges(picture) if steps else None
         if first or self.light.switched:
-            self._image.renew(slice(0, self._image.shape[0]), self._today)
+            self.expected.renew(slice(0, self.expected.shape[0]), self._today)
         self._renew_next(step_s)
 
     def _follow_light(self, step_s: float) -> Floats:
         """Return what is left of the samples (n, C), grey levels."""
-        channels, n = self._image.shape[2], len(self._row)
+        channels, n = self.expected.shape[2], len(self._row)
         samples, trust = np.empty((3, channels, n), np.float32), np.empty(n, np.float32)
         seen = self._samples.reshape(channels, -1)
-        take_samples(seen, *self._image.samples, self._sampled, self._doubted(), samples, trust)
-        return self._light.update(samples, trust, step_s).T
+        take_samples(seen, *self.expected.samples, self._sampled, self._doubted(), samples, trust)
+        return self.lights.update(samples, trust, step_s).T
 
     def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
         self._since_noise_s += step_s
         if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
-        level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
+        level = self.expected.samples[0][:, self._sampled[0]].T * self.light.gain
         sure = (self._doubted()[self._sampled[1]] == 0) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
@@ -205,14 +175,14 @@ class AdaptiveBackground:
     def _update_correlation(self, sure: npt.NDArray[np.bool_]) -> float:
         at = self._sample_indices(self._coarseness.row, self._coarseness.column)
         seen = self._samples.reshape(len(self._samples), -1).T[at].astype(np.float32)
-        rest = seen - self._image.samples[0].T[at] * self.light.gain - self.light.offset
+        rest = seen - self.expected.samples[0].T[at] * self.light.gain - self.light.offset
         return self._coarseness.update(seen, rest, sure, self._since_noise_s)
 
     def _follow_shift(self, picture: Image, edges: Edges, at_once: bool) -> bool:
         """Move the background by a displacement that lasts, one Gauss-Newton step; True when it has moved."""
         step_s, self._since_shift_s = self._since_shift_s, 0.0
-        found = self._shift.measure(edges, self.light.gain, step_s, at_once)
-        if found.most_px(self._image.shape) > LINEAR_PX:
+        found = self.shift.measure(edges, self.light.gain, step_s, at_once)
+        if found.most_px(self.expected.shape) > LINEAR_PX:
             return self._align(picture, edges)
         return found != Displacement() and self._move(found, picture, edges)
 
@@ -220,29 +190,29 @@ class AdaptiveBackground:
         """Move the background to where the whole picture lies, if edges fit better there; True when it has moved."""
         if self._aligner is None:
             return False
-        total, image = self._shift.total, picture if picture.shape[2] == 3 else picture[..., 0]
+        total, image = self.shift.total, picture if picture.shape[2] == 3 else picture[..., 0]
         found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
         if found is None:
             return False
         since = Displacement(*self._aligner.displacement_of(found.turn_rad)).plus(total, -1.0)
-        return since.most_px(self._image.shape) >= LINEAR_PX and self._move(since, picture, edges)
+        return since.most_px(self.expected.shape) >= LINEAR_PX and self._move(since, picture, edges)
 
     def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
         """Move the background; False where edges fit no better there, or the camera is not followed so far."""
-        if not self._shift.move(by):
+        if not self.shift.move(by):
             return False
         self._place()
-        if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
+        if self.shift.misfit(self._edges(picture)) < self.shift.misfit(edges):
             return True
-        self._shift.move(Displacement().plus(by, -1.0))
+        self.shift.move(Displacement().plus(by, -1.0))
         self._place()
         return False
 
     def _edges(self, picture: Image) -> Edges:
         """Return what is left at the steep places under the light and noise of now."""
-        at, channels = self._steep, self._image.shape[2]
+        at, channels = self._steep, self.expected.shape[2]
         out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
-        pixels, (mean, excess) = picture.reshape(-1, channels), self._image.flat()
+        pixels, (mean, excess) = picture.reshape(-1, channels), self.expected.flat()
         now = np.array([self.light.gain, self.light.offset, self._noise.read, self._noise.slope])
         field = self._cell_weights @ self.light.field.reshape(-1, channels)
         take_residuals(pixels, mean, excess, field, at, self._doubted(), now, out, trust)
@@ -251,11 +221,11 @@ class AdaptiveBackground:
     def _indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the index of each pixel in the picture, and of its block in the picture's blocks, (2, n)."""
         side = self._block_px
-        return np.stack([row * self._image.shape[1] + column, row // side * self._blocks[1] + column // side])
+        return np.stack([row * self.expected.shape[1] + column, row // side * self._blocks[1] + column // side])
 
     def _sample_indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the index of pixels in even rows and columns among the samples."""
-        return row // STEP_PX * -(-self._image.shape[1] // STEP_PX) + column // STEP_PX
+        return row // STEP_PX * -(-self.expected.shape[1] // STEP_PX) + column // STEP_PX
 
     def _doubted(self) -> Mask:
         """Return the blocks (n,) near foreground of a frame ago, not 0."""
@@ -265,16 +235,16 @@ class AdaptiveBackground:
 
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
-        self._shift.place(*self._image.place(self._shift.total))
-        self._steep = self._indices(self._shift.row, self._shift.column)
-        self._cell_weights = self._image.cell_weights(self._shift.row, self._shift.column)
-        self._image.renew(slice(0, self._image.shape[0]), self._today)
+        self.shift.place(*self.expected.place(self.shift.total))
+        self._steep = self._indices(self.shift.row, self.shift.column)
+        self._cell_weights = self.expected.cell_weights(self.shift.row, self.shift.column)
+        self.expected.renew(slice(0, self.expected.shape[0]), self._today)
 
     @property
     def _today(self) -> Today:
-        light, noise, left_px = now = self.light, self._noise, self._shift.left_px
+        light, noise, left_px = now = self.light, self._noise, self.shift.left_px
         if any(a is not b for a, b in zip(now, self._made_of, strict=True)):
-            self._made_of, self._made = now, self._image.today(light, noise, left_px)
+            self._made_of, self._made = now, self.expected.today(light, noise, left_px)
         return self._made
 
     def _renew_next(self, step_s: float) -> None:
@@ -282,10 +252,10 @@ class AdaptiveBackground:
         self._since_renewal_s += step_s
         if self._since_renewal_s < TURN_S:
             return
-        height = self._image.shape[0]
+        height = self.expected.shape[0]
         share, self._since_renewal_s = max(1 / BANDS, min(self._since_renewal_s / SWEEP_S, 1.0)), 0.0
         end = min(self._next_row + math.ceil(height * share / STEP_PX) * STEP_PX, height)
-        self._image.renew(slice(self._next_row, end), self._today)
+        self.expected.renew(slice(self._next_row, end), self._today)
         self._next_row = end % height
 
 
@@ -302,7 +272,6 @@ class FixedBackground:
         typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
         channels = 1 if model.mean.ndim == 2 else 3
         self.light, self.noise = Light.unchanged(channels), assumed_noise(typical, channels)
-        self.state = BackgroundState(self.light, self.noise, Displacement(), 0.0, 0.0)
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Follow nothing."""

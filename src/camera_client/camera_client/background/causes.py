@@ -167,12 +167,8 @@ CAUSES = (
 
 def find_causes(figures: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Return what the figures say, the worst first; () when nothing is wrong."""
-    return worst_first(finding for each in CAUSES if (finding := each.judge(figures)) is not None)
-
-
-def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings by their grade; those of one grade stay in their order."""
-    return tuple(sorted(findings, key=lambda finding: -GRADES.index(finding.grade)))
+    found = [finding for each in CAUSES if (finding := each.judge(figures)) is not None]
+    return tuple(sorted(found, key=lambda finding: -GRADES.index(finding.grade)))
 
 
 def findings_text(findings: Iterable[Finding]) -> str:

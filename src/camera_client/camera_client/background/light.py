@@ -43,14 +43,13 @@ Floats = npt.NDArray[np.float32]
 class Light:
     """The light now, against that in which the background was learned: level = gain field learned + offset.
 
-    gain, offset (C,) float32; field (FIELD_DOWN, FIELD_ACROSS, C) float32, 1 on average. scale : residuals of the
-    samples in sigmas, 1 where the noise explains them. switched : the light has just changed suddenly.
+    gain, offset (C,) float32; field (FIELD_DOWN, FIELD_ACROSS, C) float32, 1 on average. switched : the light has just
+    changed suddenly.
     """
 
     gain: Floats
     offset: Floats
     field: Floats
-    scale: float = 1.0
     switched: bool = False
 
     @classmethod
@@ -93,14 +92,14 @@ class LightEstimator:
         now, field = np.stack([light.gain, light.offset]), np.empty_like(light.field)
         share = 1 - math.exp(-step_s / FIELD_S)
         given = samples, self._trust_before, self._cell, light.field, share
-        scale, outliers = fit_light(*given, now, usable, rest, field)
+        outliers = fit_light(*given, now, usable, rest, field)
         gain, offset = now
         self._note_switch(outliers, self._jumps(gain.tolist(), step_s), step_s)
         switched = self._switched_s < SWITCHED_S
         if switched and outliers > SWITCHED_SHARE:
             field = self._refit(samples[0] - offset[:, None], gain[:, None] * samples[1], usable, light.field)
             field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_GAIN), np.float32(MOST_GAIN))
-        self.light = Light(gain, offset, field, scale, switched and not self._first)
+        self.light = Light(gain, offset, field, switched and not self._first)
         self._first = False
         return rest
 
@@ -152,19 +151,18 @@ class LightEstimator:
 
 @njit(**OPTIONS)
 def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  # type: ignore[no-untyped-def]
-    """Fit gain and offset ``now`` (2, C), and let the light's field follow; return scale of the residuals in sigmas and
-    share of the samples that differ by more than BEYOND_NOISE.
+    """Fit gain and offset ``now`` (2, C), and let the light's field follow; return the share of the samples that differ
+    by more than BEYOND_NOISE.
 
     samples (3, C, n), trust (n,) : of :meth:`LightEstimator.update`; cell (n,) : of each sample; before (down, across,
     C) : the field until now, which moves by ``share``. Written: usable (C, n) : each sample's weight for the fit; rest
     (C, n) : seen - gain expected - offset; field.
     """
     seen, expected, precision = samples[0], samples[1], samples[2]
-    weight, scale = np.empty_like(rest), 1.0
+    weight = np.empty_like(rest)
     _weigh_samples(samples, trust, now, usable)
     for c in range(len(seen)):
-        gain, offset, found = robust_gain(seen[c], expected[c], precision[c], usable[c], now[:, c], weight[c])
-        scale = max(scale, found)
+        gain, offset = robust_gain(seen[c], expected[c], precision[c], usable[c], now[:, c], weight[c])
         if 1 / MOST_GAIN < gain < MOST_GAIN and np.isfinite(offset):
             now[0, c], now[1, c] = gain, offset
     beyond = 0
@@ -179,7 +177,7 @@ def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  #
             beyond += 1
     for c in range(len(seen)):
         _follow_cells(before[:, :, c], share, (cell, now[0, c], expected[c], weight[c], rest[c]), field[:, :, c])
-    return scale, beyond / seen.shape[1]
+    return beyond / seen.shape[1]
 
 
 @njit(**OPTIONS)
@@ -187,10 +185,10 @@ def robust_gain(seen, expected, precision, trust, start, weight):  # type: ignor
     """Fit seen = gain expected + offset by iteratively reweighted least squares (Geman and McClure).
 
     seen, expected, precision, trust (n,) float32; trust : 0 for samples that say nothing, less than 1 for doubtful
-    ones. start (2,) : gain and offset to begin with. weight (n,) is written: each sample's at the end. Gives gain,
-    offset and the scale of the residuals in sigmas (1: as the noise says).
+    ones. start (2,) : gain and offset to begin with. weight (n,) is written: each sample's at the end. Gives gain and
+    offset.
     """
-    gain, offset, scale = start[0], start[1], 1.0
+    gain, offset = start[0], start[1]
     distance = np.empty(len(seen), np.float32)
     for step in range(STEPS + 1):
         for i in range(len(seen)):
@@ -215,7 +213,7 @@ def robust_gain(seen, expected, precision, trust, start, weight):  # type: ignor
         if sw <= 0.0 or det <= 1e-9 * see * held:
             break
         gain, offset = (sxe * held - sx * se) / det, (see * sx - se * sxe) / det
-    return gain, offset, scale
+    return gain, offset
 
 
 @njit(**OPTIONS)

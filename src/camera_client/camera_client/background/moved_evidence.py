@@ -54,14 +54,11 @@ class SupportHistory:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all times; reports that wait for their frames stay."""
+        """Forget all times, and the reports that wait for their frames."""
+        self._reports.clear()
         self.unseen_s, self.outside_s, self.body_s = (np.zeros(self.blocks, np.float32) for _ in range(3))
         self.sees_body: Blocks = np.zeros(self.blocks, bool)
         self._report_ns = 0
-
-    def forget_reports(self) -> None:
-        """Drop the reports that wait for their frames: stamps begin anew."""
-        self._reports.clear()
 
     def add(self, report: ForegroundSupport) -> None:
         """Take a report, from any thread."""

@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import StampThrottle
-from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
@@ -47,13 +46,13 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
-    absorbed, reverted : how many times things were.
+    absorbed, reverted : how many times things were. others : what the other cameras see, by their reports.
     """
 
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32], scale: int = 1) -> None:
         """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all. ``scale``: pixels of
         the camera, in each direction, to one of the images."""
-        self._others = SupportHistory(camera, scale * BLOCK_PX, COUNTED_S)
+        self.others = SupportHistory(camera, scale * BLOCK_PX, COUNTED_S)
         self._shape = (-(-camera.height // scale), -(-camera.width // scale))
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
@@ -68,8 +67,8 @@ class MovedThings:
 
     def _restart(self) -> None:
         """Forget all times, for instance when a clock was set back; what was absorbed stays."""
-        self._others.restart()
-        blocks = self._others.blocks
+        self.others.restart()
+        blocks = self.others.blocks
         self._throttle = StampThrottle(SAMPLE_S)
         self._running: npt.NDArray[np.float32] | None = None
         self._last_ns = 0
@@ -88,15 +87,6 @@ class MovedThings:
     def share(self) -> float:
         """Share of the picture that is absorbed."""
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
-
-    @property
-    def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
-        """Blocks in which the other cameras see nobody, as far as they say."""
-        return self._others.unseen_s > 0
-
-    def take_report(self, report: ForegroundSupport) -> None:
-        """Take what the others see, for frames some time after its stamp. From any thread."""
-        self._others.add(report)
 
     def clear_absorbed(
         self, image: Image, values: Mask, brightness: float = 1.0, step_px: int = 1, box: Corners | None = None
@@ -145,13 +135,12 @@ class MovedThings:
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
             self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
         if stamp_ns < self._last_ns:
-            self._others.forget_reports()
             self._restart()
         self._last_ns = stamp_ns
         step_s = self._throttle.step_s(stamp_ns)
         if step_s <= 0.0:
             return
-        self._others.update(stamp_ns)
+        self.others.update(stamp_ns)
         # which blocks show anything, and for how long they kept still
         unexplained = foreground.copy()
         self.clear_absorbed(image, unexplained, brightness, STEP_PX)
@@ -184,9 +173,9 @@ class MovedThings:
 
     def _absorb(self, shown: Blocks, image: Image, look: Look) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
-        rest_s = np.where(self._others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
+        rest_s = np.where(self.others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
         calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
-        body, unseen = shown & (self._others.body_s > 0), calm & (self._others.unseen_s >= STILL_S)
+        body, unseen = shown & (self.others.body_s > 0), calm & (self.others.unseen_s >= STILL_S)
         if unseen.any():
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
@@ -214,13 +203,13 @@ class MovedThings:
         own = np.where(near, foreground, np.uint8(0))
         if not was_taken_away(own, foreground, image, background, self._noise):
             return False
-        nobody = (self._others.unseen_s[blob] >= REST_S).mean() >= WHOLE
+        nobody = (self.others.unseen_s[blob] >= REST_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
     def _take_over(self, image: Image, blob: Blocks) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        blocks = blob | (around & (self._still_s >= REST_S) & (self._others.body_s <= 0))
+        blocks = blob | (around & (self._still_s >= REST_S) & (self.others.body_s <= 0))
         if np.count_nonzero(blocks | self._absorbed) > MAJORITY * blocks.size:
             return
         pixels = self._to_pixels(blocks)
@@ -243,7 +232,7 @@ class MovedThings:
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
         beside = cv2.dilate((absorbed & unlike_learned).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         back = absorbed & (self._learned_s >= STILL_S) & ~beside
-        self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
+        self._denied_s = counted(self._denied_s, matched & self.others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():
             self._absorbed[back] = self._gone[back] = False
@@ -261,7 +250,7 @@ class MovedThings:
     def _blocks_of(self, mask: Mask) -> npt.NDArray[np.uint8]:
         """Return the mean (0 to 255) of each block of a mask of samples (h, w)."""
         side = BLOCK_PX // STEP_PX
-        height, width = (side * n for n in self._others.blocks)
+        height, width = (side * n for n in self.others.blocks)
         if mask.shape != (height, width):
             mask = cv2.copyMakeBorder(mask, 0, height - mask.shape[0], 0, width - mask.shape[1], cv2.BORDER_REPLICATE)
         return np.asarray(cv2.resize(mask, (width // side, height // side), interpolation=cv2.INTER_AREA), np.uint8)

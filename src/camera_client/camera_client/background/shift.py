@@ -60,9 +60,9 @@ class Displacement(NamedTuple):
         if self == Displacement():
             return picture.copy()
         height, width = picture.shape[:2]
-        c, s = math.cos(self.roll_rad), math.sin(self.roll_rad)
-        x, y = (width - 1) / 2, (height - 1) / 2
-        A = np.array([[c, -s, x - c * x + s * y + self.right_px], [s, c, y - s * x - c * y + self.down_px]])
+        middle = (width - 1) / 2, (height - 1) / 2
+        A = np.array(cv2.getRotationMatrix2D(middle, -math.degrees(self.roll_rad), 1.0), float)
+        A[:, 2] += self.right_px, self.down_px
         moved = cv2.warpAffine(picture, A, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(moved, np.float32).reshape(picture.shape)
 

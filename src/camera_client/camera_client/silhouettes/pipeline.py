@@ -55,7 +55,7 @@ class Difference:
     image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
     is from the background, change : in whole grey levels of the channel that differs most. spans : of it that is looked
-    at. nobody : ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
+    at. nobody : blocks in which the other cameras saw nobody then, None where that is not asked.
     """
 
     now_ns: int
@@ -187,7 +187,7 @@ class SilhouettePipeline:
             if self.moved is not None:
                 self.moved.clear_absorbed(image, closely, self.background.light.brightness, box=box)
             scene = Scene(image[box.slices], expected, noise, box.slices)
-        nobody = None if self.moved is None else self.moved.seen_by_nobody
+        nobody = None if self.moved is None else self.moved.others.unseen_s > 0
         return Difference(
             now_ns, shows_scene, image, samples, distance, noise, box, scene, closely, change, spans, nobody
         )
@@ -225,7 +225,7 @@ class SilhouettePipeline:
     def take_support(self, report: ForegroundSupport) -> None:
         """Take what the other cameras see. From any thread."""
         if self.moved is not None:
-            self.moved.take_report(report)
+            self.moved.others.add(report)
 
     def _find_foreground(self, image: Image, samples: Samples, distance: Mask, stamp_ns: int | None) -> Box:
         """Return a box around all that may be foreground by the samples' ``distance``, and write 0 into that where the
