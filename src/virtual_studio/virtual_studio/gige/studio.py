@@ -19,7 +19,7 @@ from ..rig import ring
 from .acquisition import TriggerWire
 from .camera import SimulatedCamera
 from .device import NO_FAULTS, CameraSettings, consecutive_addresses
-from .loop import ControlServer, EventLoop, Request
+from .loop import EventLoop, Request, serve_requests
 from .rendered_scenes import PERSON, RoomScene, SetupScene
 from .scenes import PatternScene, Playback, StudioScene, load_session_scene
 
@@ -78,7 +78,7 @@ class Studio:
         self.rig, self.playback = self.scene.rig, self.scene.playback
         self.setup = self.scene if isinstance(self.scene, SetupScene) else None
         self._control_path = Path(control) if control else None
-        self._control: ControlServer | None = None
+        self._listening = False
         self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
         addresses = consecutive_addresses(self.settings.address, len(self.rig.names))
@@ -103,16 +103,16 @@ class Studio:
             for camera in self.cameras.values():
                 camera.start()
             if self._control_path is not None:
-                self._control = ControlServer(self._control_path, self.loop, self.handle)
+                serve_requests(self._control_path, self.loop, self.handle)
+                self._listening = True
         except InputError:
             self.close()
             raise
         return self
 
     def close(self) -> None:
-        if self._control is not None:
-            self._control.close()
-            self._control = None
+        if self._listening and self._control_path is not None:
+            self._control_path.unlink(missing_ok=True)
         for camera in self.cameras.values():
             camera.close()
         self.scene.close()
