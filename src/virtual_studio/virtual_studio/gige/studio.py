@@ -82,12 +82,19 @@ class Studio:
         self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
         addresses = consecutive_addresses(self.settings.address, len(self.rig.names))
-        self.cameras = {
-            name: SimulatedCamera(
-                address, self.scene.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
+        given = self.settings.camera
+        self.cameras: dict[str, SimulatedCamera] = {}
+        for number, (name, address) in enumerate(zip(self.rig.names, addresses, strict=True), start=1):
+            camera = replace(
+                given,
+                serial=f"STUDIO{number:03d}",
+                user_id=name,
+                seed=given.seed + number,
+                frame_rate=self.frame_rate,
+                drift_ppm=given.drift_ppm + 3.0 * number,
             )
-            for number, (name, address) in enumerate(zip(self.rig.names, addresses, strict=True), start=1)
-        }
+            view = self.scene.views[name]
+            self.cameras[name] = SimulatedCamera(address, view, camera, loop=self.loop, wire=self.wire)
 
     @property
     def frame_rate(self) -> float:
@@ -142,17 +149,6 @@ class Studio:
 
     def __exit__(self, *raised: object) -> None:
         self.close()
-
-    def _camera_settings(self, number: int, name: str) -> CameraSettings:
-        given = self.settings.camera
-        return replace(
-            given,
-            serial=f"STUDIO{number:03d}",
-            user_id=name,
-            seed=given.seed + number,
-            frame_rate=self.frame_rate,
-            drift_ppm=given.drift_ppm + 3.0 * number,
-        )
 
     def _chosen(self, request: Request) -> list[SimulatedCamera]:
         """Return the cameras that a request names; all, where it names none."""
