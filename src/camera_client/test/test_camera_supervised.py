@@ -197,16 +197,6 @@ def test_process_that_did_not_get_to_run_does_not_blame_the_camera(world, stream
     assert world.now_s > 10.0 and len(world.made) == 1 and "stalls" not in streaming.counters
 
 
-def test_stall_limit_is_that_of_the_connected_source(world):
-    with world.supervised(stall_timeout_s=float("inf")) as source:
-        source.start()
-        frames_of(source, 1)
-        world.silent = True
-        for _ in range(1000):
-            source.read(0.2)
-        assert source.connection.state is ConnectionState.STREAMING and world.now_s > 199.0
-
-
 def test_incomplete_frames_are_a_sign_of_life(world, streaming):
     world.silent = True
     for frame_id in range(2, 40):

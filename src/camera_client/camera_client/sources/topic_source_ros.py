@@ -61,7 +61,6 @@ class TopicSource(FrameSource):
         self._kind: type[ImageMessage] | type[CompressedImage] = ImageMessage
         self._waiting: deque[tuple[bytes, int]] = deque(maxlen=DEPTH)  # serialised images, when they arrived, ns
         self._arrived = threading.Condition()
-        self._running = False
         self._rate_hz = 0.0
         self._numbers = FrameNumbers(self._statistics)
         self._camera_info: CameraInfo | None = None
@@ -129,10 +128,8 @@ class TopicSource(FrameSource):
         return found
 
     def start(self) -> None:
-        if not self._running:
-            self._waiting.clear()
-            self._numbers.restart()
-            self._running = True
+        self._waiting.clear()
+        self._numbers.restart()
 
     def read(self, timeout_s: float) -> Frame | None:
         with self._arrived:
@@ -152,10 +149,9 @@ class TopicSource(FrameSource):
         return None if number is None else replace(frame, frame_id=number)
 
     def stop(self) -> None:
-        self._running = False
+        """Do nothing: images that come meanwhile make room for each other."""
 
     def close(self) -> None:
-        self.stop()
         if self._executor is not None:
             self._executor.shutdown(timeout_sec=RELEASE_S)
         if self._spinner is not None and self._spinner.is_alive():
@@ -171,8 +167,6 @@ class TopicSource(FrameSource):
 
     def _on_image(self, message: bytes) -> None:
         with self._arrived:
-            if self._running and len(self._waiting) == DEPTH:
-                self.count("overwritten")
             self._waiting.append((message, time.time_ns()))
             self._arrived.notify()
 

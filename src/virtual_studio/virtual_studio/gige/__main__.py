@@ -73,8 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def speed_argument(text: str) -> float:
     """Parses a speed, a number or a fraction such as 1/4, for argparse."""
+    part, bar, whole = text.partition("/")
     with contextlib.suppress(ValueError, ArithmeticError):
-        text = repr(float(Fraction(text)))
+        text = repr(int(part) / int(whole)) if bar else text
     return _SPEED(text)  # which says what is wrong
 
 

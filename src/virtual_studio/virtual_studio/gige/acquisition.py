@@ -234,21 +234,21 @@ class TriggerWire:
 
     def run(self, rate_hz: float) -> None:
         """Generates pulses at whole multiples of the period of its clock, until another rate; 0: none."""
-        self._loop.call(lambda: self._restart(Fraction(rate_hz).limit_denominator(_RATE_GRAIN)))
 
-    def _restart(self, rate: Fraction) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        if rate:
-            self._schedule(rate)
+        def restart() -> None:
+            if self._timer is not None:
+                self._timer.cancel()
+            if rate_hz:
+                self._schedule(_period_ns(rate_hz))
 
-    def _schedule(self, rate: Fraction) -> None:
-        when_ns = next_multiple(self._loop.clock.now_ns(), SECOND_NS / rate)
-        self._timer = self._loop.call_at(when_ns, lambda: self._tick(when_ns, rate))
+        self._loop.call(restart)
 
-    def _tick(self, when_ns: int, rate: Fraction) -> None:
+    def _schedule(self, period_ns: Fraction) -> None:
+        when_ns = next_multiple(self._loop.clock.now_ns(), period_ns)
+        self._timer = self._loop.call_at(when_ns, lambda: self._tick(when_ns, period_ns))
+
+    def _tick(self, when_ns: int, period_ns: Fraction) -> None:
         if self._loop.clock.now_ns() - when_ns < LONGEST_BACKLOG_NS:
             for listener in self._listeners:
                 listener(when_ns)
-        self._schedule(rate)
+        self._schedule(period_ns)

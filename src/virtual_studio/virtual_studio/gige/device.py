@@ -109,17 +109,13 @@ _LIMITS = {"packet_loss": (0, 1), "light": (0, 10), "stamp_jump_ns": (-LARGEST_I
 # --- Loopback addresses.
 
 
-FIRST, LAST = int(ipaddress.IPv4Address("127.0.32.1")), int(ipaddress.IPv4Address("127.255.255.200"))
-_ATTEMPTS = 1000
-
-
 def free_address() -> str:
     """Finds a loopback address whose GVCP port is free; another call gives another one, mostly.
 
     Raises InputError where the system lends none.
     """
-    for _ in range(_ATTEMPTS):
-        address = ipaddress.IPv4Address(random.randint(FIRST, LAST))
+    for _ in range(1000):
+        address = ipaddress.IPv4Address(random.randint(0x7F00_2001, 0x7FFF_FFC8))  # 127.0.32.1 to 127.255.255.200
         if address.packed[3] not in (0, 255) and is_free(str(address)):
             return str(address)
     remedy = "Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface."

@@ -100,27 +100,32 @@ def default_path() -> Path:
     return Path(folder) / f"sagoma-studio-{os.getuid()}.sock"
 
 
-class ControlServer:
+def serve_requests(path: Path, loop: EventLoop, handle: Callable[[Request], Request]) -> None:
     """Answers each request with what ``handle`` returns, called within the loop; InputErrors become {"error": ...}.
 
-    Raises InputError where the socket cannot be had.
+    Connections end with the loop, the socket's name is the caller's to remove. Raises InputError where it cannot be
+    had.
     """
 
-    def __init__(self, path: Path, loop: EventLoop, handle: Callable[[Request], Request]) -> None:
-        self._path, self._handle = path, handle
-        listening = _bound(path)
-        loop.run(asyncio.start_unix_server(self._serve, sock=listening, limit=LONGEST_LINE))
-
-    def close(self) -> None:
-        """Takes the socket's name back; connections end with the loop."""
-        self._path.unlink(missing_ok=True)
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(OSError, ValueError):  # the client has gone, or sends no lines
             while (line := await reader.readline()).endswith(b"\n"):
-                writer.write(json.dumps(_answer(line, self._handle)).encode() + b"\n")
+                writer.write(json.dumps(_answer(line, handle)).encode() + b"\n")
                 await writer.drain()
         writer.close()
+
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_socket() and sock.connect_ex(str(path)) == errno.ECONNREFUSED:
+            path.unlink()  # a studio that was killed left it behind
+        sock.bind(str(path))
+        path.chmod(0o600)
+    except OSError as error:
+        sock.close()
+        remedy = "Another studio may be there: end it, or choose another --control."
+        raise InputError(f"cannot listen ({error.strerror or error})", where=str(path), remedy=remedy) from None
+    loop.run(asyncio.start_unix_server(serve, sock=sock, limit=LONGEST_LINE))
 
 
 def ask(request: Request, path: str | Path | None = None) -> Request:
@@ -153,18 +158,3 @@ def _answer(line: bytes, handle: Callable[[Request], Request]) -> Request:
         return {"error": f"not a line of JSON: {error}"}
     except InputError as error:
         return {"error": str(error)}
-
-
-def _bound(path: Path) -> socket.socket:
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_socket() and sock.connect_ex(str(path)) == errno.ECONNREFUSED:
-            path.unlink()  # a studio that was killed left it behind
-        sock.bind(str(path))
-        path.chmod(0o600)
-    except OSError as error:
-        sock.close()
-        remedy = "Another studio may be there: end it, or choose another --control."
-        raise InputError(f"cannot listen ({error.strerror or error})", where=str(path), remedy=remedy) from None
-    return sock

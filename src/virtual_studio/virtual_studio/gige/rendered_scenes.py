@@ -109,11 +109,7 @@ class LiveView:
     """One camera's view of the room."""
 
     def __init__(self, scene: RoomScene, name: str) -> None:
-        self._scene, self._name = scene, name
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._scene.empty(self._name).shape
+        self._scene, self._name, self.shape = scene, name, scene.empty(name).shape
 
     def image(self, instant_ns: int) -> Image:
         if not self._scene.playback.occupied:

@@ -19,7 +19,7 @@ from ..rig import ring
 from .acquisition import TriggerWire
 from .camera import SimulatedCamera
 from .device import NO_FAULTS, CameraSettings, consecutive_addresses
-from .loop import ControlServer, EventLoop, Request
+from .loop import EventLoop, Request, serve_requests
 from .rendered_scenes import PERSON, RoomScene, SetupScene
 from .scenes import PatternScene, Playback, StudioScene, load_session_scene
 
@@ -78,16 +78,23 @@ class Studio:
         self.rig, self.playback = self.scene.rig, self.scene.playback
         self.setup = self.scene if isinstance(self.scene, SetupScene) else None
         self._control_path = Path(control) if control else None
-        self._control: ControlServer | None = None
+        self._listening = False
         self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
         addresses = consecutive_addresses(self.settings.address, len(self.rig.names))
-        self.cameras = {
-            name: SimulatedCamera(
-                address, self.scene.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
+        given = self.settings.camera
+        self.cameras: dict[str, SimulatedCamera] = {}
+        for number, (name, address) in enumerate(zip(self.rig.names, addresses, strict=True), start=1):
+            camera = replace(
+                given,
+                serial=f"STUDIO{number:03d}",
+                user_id=name,
+                seed=given.seed + number,
+                frame_rate=self.frame_rate,
+                drift_ppm=given.drift_ppm + 3.0 * number,
             )
-            for number, (name, address) in enumerate(zip(self.rig.names, addresses, strict=True), start=1)
-        }
+            view = self.scene.views[name]
+            self.cameras[name] = SimulatedCamera(address, view, camera, loop=self.loop, wire=self.wire)
 
     @property
     def frame_rate(self) -> float:
@@ -103,16 +110,16 @@ class Studio:
             for camera in self.cameras.values():
                 camera.start()
             if self._control_path is not None:
-                self._control = ControlServer(self._control_path, self.loop, self.handle)
+                serve_requests(self._control_path, self.loop, self.handle)
+                self._listening = True
         except InputError:
             self.close()
             raise
         return self
 
     def close(self) -> None:
-        if self._control is not None:
-            self._control.close()
-            self._control = None
+        if self._listening and self._control_path is not None:
+            self._control_path.unlink(missing_ok=True)
         for camera in self.cameras.values():
             camera.close()
         self.scene.close()
@@ -142,17 +149,6 @@ class Studio:
 
     def __exit__(self, *raised: object) -> None:
         self.close()
-
-    def _camera_settings(self, number: int, name: str) -> CameraSettings:
-        given = self.settings.camera
-        return replace(
-            given,
-            serial=f"STUDIO{number:03d}",
-            user_id=name,
-            seed=given.seed + number,
-            frame_rate=self.frame_rate,
-            drift_ppm=given.drift_ppm + 3.0 * number,
-        )
 
     def _chosen(self, request: Request) -> list[SimulatedCamera]:
         """Return the cameras that a request names; all, where it names none."""
