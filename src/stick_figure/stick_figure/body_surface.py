@@ -104,19 +104,13 @@ class BodySurface(NamedTuple):
 def place_capsules(capsules, G, A, P, Q):
     """World ends P, Q (k, 3) of the capsules, from stick frames G (10, 3, 3) and stick starts A (10, 3)."""
     for k in range(capsules.stick.shape[0]):
-        place_capsule(k, capsules, G, A, P, Q)
-
-
-@kernel
-def place_capsule(k, capsules, G, A, P, Q):
-    """World ends P[k], Q[k] of one capsule."""
-    j = capsules.stick[k]
-    for i in range(3):
-        P[k, i] = A[j, i]
-        Q[k, i] = A[j, i]
-        for q in range(3):
-            P[k, i] += G[j, i, q] * capsules.start[k, q]
-            Q[k, i] += G[j, i, q] * capsules.end[k, q]
+        j = capsules.stick[k]
+        for i in range(3):
+            P[k, i] = A[j, i]
+            Q[k, i] = A[j, i]
+            for q in range(3):
+                P[k, i] += G[j, i, q] * capsules.start[k, q]
+                Q[k, i] += G[j, i, q] * capsules.end[k, q]
 
 
 @kernel
