@@ -28,7 +28,6 @@ from mocap_packets.fit import Solution
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.free_ends import ANGLES, CORRELATED, COUNT, STIFF_SD, TURN_SD
@@ -93,14 +92,13 @@ class ContourSettings:
 class ArticulatedSettings:
     """Settings of the all-joints solve.
 
-    gate_m : distance at which a centerline point's weight has fallen to 1/4. model_sigma_m : distance of a perfect
+    model_sigma_m : distance of a perfect
     centerline point from its stick. prior : how far a pose may leave its start where no datum says otherwise, over the
     PRIOR_SD. max_iterations : of Gauss-Newton.
     """
 
     volume: VolumeSettings = field(default_factory=VolumeSettings)
     contour: ContourSettings = field(default_factory=ContourSettings)
-    gate_m: float = POINT_GATE_M
     model_sigma_m: float = STICK_SD_M
     prior: float = 1.0
     max_iterations: int = 8
@@ -187,7 +185,7 @@ def make_data(
         whole = visibility.near_unseen.rows_outside(points)
         points, sigma = points.take(whole, axis=0), sigma.take(whole)
         surface = surface.take(visibility.near_unseen.rows_outside(surface), axis=0)
-    gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
+    gate2 = POINT_GATE_M**2 + (GATE_SIGMAS * sigma) ** 2
     return Data(
         points,
         1.0 / (settings.model_sigma_m**2 + sigma**2),
@@ -244,8 +242,6 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     return Weights(
         prior=PRIOR / settings.prior**2,
         voxel=volume.weight * one / voxels if voxels else 0.0,
-        neck=NECK_SD**-2,
-        limit=LIMIT_SD_RAD**-2,
         ends=CORRELATED / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
     )
 

@@ -150,9 +150,6 @@ def test_walking_with_arms_stretched_out_is_refused_until_it_ends(held):
     assert np.linalg.norm(answer.pose.position_world[:2] - middle) < 0.06
 
 
-HELD_SETS = 6  # of the T-pose with which every session begins
-
-
 # --- walking in ------------------------------------------------------------------------------------------------------
 
 EVERY = 4  # of a walk at 60 Hz: fifteen sets a second

@@ -14,7 +14,6 @@ from stick_figure.least_squares.point_factor import add_surface
 
 STEP = 1e-6
 LEFT_ELBOW, LEFT_HAND = 7, 11
-LEFT_SHOULDER_X = 8  # slot of the pose's tangent
 NOT_NECK = np.delete(np.arange(24), [6, 7])
 NECK_TOLERANCE = 1e-4  # the neck has no twist of its own, which a head that is not round notices, but hardly
 

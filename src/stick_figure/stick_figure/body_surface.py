@@ -67,7 +67,6 @@ PARTS = {
     "foot": (L_CALF, R_CALF),
 }
 """The capsules: the sticks they are fixed to, the left one first."""
-CAPSULES = sum(len(sticks) for sticks in PARTS.values())
 END_CAPSULES, END_STICKS = (10, 11, 16, 17), (L_FOREARM, R_FOREARM, L_CALF, R_CALF)
 """Hands and feet among the capsules, left first, and their sticks."""
 _ARM_STICKS = (L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM)
@@ -104,19 +103,13 @@ class BodySurface(NamedTuple):
 def place_capsules(capsules, G, A, P, Q):
     """World ends P, Q (k, 3) of the capsules, from stick frames G (10, 3, 3) and stick starts A (10, 3)."""
     for k in range(capsules.stick.shape[0]):
-        place_capsule(k, capsules, G, A, P, Q)
-
-
-@kernel
-def place_capsule(k, capsules, G, A, P, Q):
-    """World ends P[k], Q[k] of one capsule."""
-    j = capsules.stick[k]
-    for i in range(3):
-        P[k, i] = A[j, i]
-        Q[k, i] = A[j, i]
-        for q in range(3):
-            P[k, i] += G[j, i, q] * capsules.start[k, q]
-            Q[k, i] += G[j, i, q] * capsules.end[k, q]
+        j = capsules.stick[k]
+        for i in range(3):
+            P[k, i] = A[j, i]
+            Q[k, i] = A[j, i]
+            for q in range(3):
+                P[k, i] += G[j, i, q] * capsules.start[k, q]
+                Q[k, i] += G[j, i, q] * capsules.end[k, q]
 
 
 @kernel

@@ -183,8 +183,6 @@ def add_neck_rest(R_neck, weight, H, g):
 
     It keeps a head that no datum shows from folding into the torso.
     """
-    if weight == 0.0:
-        return
     rest0, rest2 = np.sin(NECK_PITCH), np.cos(NECK_PITCH)
     d0, d1, d2 = R_neck[0, 2], R_neck[1, 2], R_neck[2, 2]
     c0, c1, c2 = d1 * rest2, d2 * rest0 - d0 * rest2, -d1 * rest0  # direction x rest

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 from ..acquisition.body_sizes import BodyEstimate
 from ..acquisition.pose_source import HULL_SOURCES
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
-from ..monitor.evidence import SAME_M
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons
@@ -128,7 +126,6 @@ class PeopleTracker:
         back = self._reassign_lost_tracks(seen, association, free)
         fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
-        self._merge_duplicate_tracks(fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
     def _step_alone(self, seen: HullProducts, prediction: Prediction | None) -> Fit:
@@ -207,16 +204,6 @@ class PeopleTracker:
                 fit = replace(fit, state=LOST, reason=reason, visible=np.zeros(15, dtype=bool))
             fits[number] = replace(fit, person=number)
         return fits
-
-    def _merge_duplicate_tracks(self, fits: Mapping[int, Fit]) -> None:
-        """Drop the one of two figures in one place that explains less: one person is not there twice."""
-        for first, second in combinations(sorted(fits), 2):
-            places = [fits[number].reference_points_world for number in (first, second)]
-            if any(self._persons[number].away for number in (first, second)):
-                continue
-            if np.linalg.norm(places[0] - places[1], axis=1).mean() < SAME_M:
-                explained = [fits[number].quality.explained for number in (first, second)]
-                self._persons[first if explained[0] < explained[1] else second].away = True
 
     # --- newcomers ---------------------------------------------------------------------------------------------------
 

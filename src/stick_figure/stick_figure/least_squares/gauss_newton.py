@@ -15,7 +15,7 @@ from capture_rig.small_matrices import solve_positive
 from capture_rig.visibility import UnseenCells
 
 from .. import kernels
-from ..joint_limits import add_joint_limits, add_neck_rest
+from ..joint_limits import LIMIT_SD_RAD, NECK_SD, add_joint_limits, add_neck_rest
 from .contour_factor import SLACK_M, SURFACE_GATE_M, RayArrays, add_contour, match_rays
 from .free_ends import follow, straight_ends, turn_ends
 from .independent_rows import add_independent_rows
@@ -49,14 +49,11 @@ class Data(NamedTuple):
 class Weights(NamedTuple):
     """How much each term counts: information in 1/m^2 or 1/rad^2; zero switches it off.
 
-    prior (24,) : of the tangent slots about the start. neck, limit : of the neck's rest and of the joints' limits.
-    ends : of hands and feet about straight.
+    prior (24,) : of the tangent slots about the start. ends : of hands and feet about straight.
     """
 
     prior: np.ndarray
     voxel: float
-    neck: float
-    limit: float
     ends: float
 
 
@@ -163,5 +160,5 @@ def regularise(start, placed, weights, H, g):
     for k in range(TANGENT):
         H[k, k] += weights.prior[k]
         g[k] += weights.prior[k] * back[k]
-    add_neck_rest(placed.RJ[0], weights.neck, H, g)
-    add_joint_limits(placed.RJ, placed.hinges, np.inf, weights.limit, H, g)
+    add_neck_rest(placed.RJ[0], NECK_SD**-2, H, g)
+    add_joint_limits(placed.RJ, placed.hinges, np.inf, LIMIT_SD_RAD**-2, H, g)
