@@ -41,7 +41,6 @@ def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body
     gentle, settings = DampedVelocity((8.0, 15.0, 15.0, 8.0)), replace(made.IDEAL, limit_sd_rad=0.0)
     monkeypatch.setattr(track, "motion_model", lambda settings: gentle)
     monkeypatch.setattr(motion_model, "EXPECTED", np.inf)
-    monkeypatch.setattr(track, "EXPECTED", np.inf)
     F, Q = made.dense_matrices(gentle.transition(1 / 60))
     Q_half = np.linalg.cholesky(Q)
     nees, nis = [], []
