@@ -121,18 +121,6 @@ def test_body_out_of_sight_stops_being_extrapolated(body, person):
     assert moved_mm[39:45].min() > 1.0 and moved_mm[46:].max() < 1e-6
 
 
-def test_body_of_which_every_part_may_be_elsewhere_is_doubtful_and_goes_on(body, person):
-    ekf = ArticulatedEkf(body, made.IDEAL)
-    points = person.points(0.0)
-    states = [
-        ekf.step(made.stamp(k), points, made.isotropic(0.02), made.ALL, made.ALL if k >= 5 else made.NONE)
-        for k in range(10)
-    ]
-    assert states[4].tracking == Tracking.TRACKING
-    assert states[9].tracking == Tracking.DOUBTFUL and "every part" in states[9].reason
-    assert states[9].accepted.all()
-
-
 def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(body, person):
     def visible(k):
         return made.NONE if 30 <= k < 110 else made.ALL
