@@ -49,11 +49,6 @@ class OpaqueFunction:
         self.function = function
 
 
-class Shutdown:
-    def __init__(self, *, reason: str) -> None:
-        self.reason = reason
-
-
 class LaunchConfiguration:
     def __init__(self, name: str) -> None:
         self.name = name
@@ -76,7 +71,6 @@ class Node:
     output: str = "log"
     respawn: bool = False
     respawn_delay: float | None = None
-    on_exit: list[Shutdown] | None = None
     full_namespace: str | None = None
 
 
@@ -97,7 +91,7 @@ def stood_in() -> Iterator[None]:
     contents = {
         "launch": {},
         "launch.launch_description": {"LaunchDescription": list},
-        "launch.actions": {kind.__name__: kind for kind in (DeclareLaunchArgument, OpaqueFunction, Shutdown)},
+        "launch.actions": {kind.__name__: kind for kind in (DeclareLaunchArgument, OpaqueFunction)},
         "launch.logging": {"launch_config": types.SimpleNamespace(log_dir=os.environ.get("ROS_LOG_DIR"))},
         "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},
