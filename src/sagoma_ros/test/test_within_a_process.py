@@ -88,15 +88,6 @@ def test_close_drops_and_counts_what_waits_but_ends_what_runs() -> None:
     assert gated.dropped == 3
 
 
-@pytest.mark.parametrize("finish", [True, False])
-def test_idle_worker_may_be_closed_twice_and_drops_and_counts_what_comes_later(finish: bool) -> None:
-    gated = GatedWorker(depth=1)
-    assert gated.worker.close(finish=finish, timeout_s=PATIENCE_S)
-    assert gated.worker.close(finish=finish, timeout_s=PATIENCE_S)
-    gated.worker.put(7)
-    assert (gated.done, gated.dropped) == ([], 1)
-
-
 def test_patient_put_drops_nothing_and_keeps_to_the_depth() -> None:
     gated = GatedWorker(depth=2)
     gated.block()
