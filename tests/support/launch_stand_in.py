@@ -51,11 +51,6 @@ class OpaqueFunction:
 
 
 @dataclass
-class Shutdown:
-    reason: str
-
-
-@dataclass
 class LaunchConfiguration:
     name: str
 
@@ -75,7 +70,6 @@ class Node:
     output: str = "log"
     respawn: bool = False
     respawn_delay: float | None = None
-    on_exit: list[Shutdown] | None = None
     full_namespace: str | None = None
 
 
@@ -96,7 +90,7 @@ def stood_in() -> Iterator[None]:
     contents = {
         "launch": {},
         "launch.launch_description": {"LaunchDescription": list},
-        "launch.actions": {kind.__name__: kind for kind in (DeclareLaunchArgument, OpaqueFunction, Shutdown)},
+        "launch.actions": {kind.__name__: kind for kind in (DeclareLaunchArgument, OpaqueFunction)},
         "launch.logging": {"launch_config": types.SimpleNamespace(log_dir=os.environ.get("ROS_LOG_DIR"))},
         "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON, NOTHING_SEEN
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
-from mocap_packets.state import BodyState
+from mocap_packets.state import BodyState, Tracking
 from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
@@ -25,7 +25,7 @@ from sagoma_ros.process import run_node
 
 from .filter import PeopleFilter, warm_up
 from .humans_ros import BodyFrames, HumansPublisher, Tracked
-from .people_ros import LEVELS, Answer, PeopleTopics, is_tracked
+from .people_ros import LEVELS, Answer, PeopleTopics
 from .settings import LINK_FRAMES, NO_FRAMES, EkfNodeSettings
 
 
@@ -40,7 +40,7 @@ class EkfNode(SagomaNode):
         self._answering = threading.RLock()  # fits may come on the tracker's thread, requests on ours
         self._bodies: list[BodyFrames | HumansPublisher] = []
         self._filters = PeopleFilter()
-        self._order = StampOrder(self, self._forget_states)
+        self._order = StampOrder(self, lambda: self._filters.reset())
         self._watchdog: InputWatchdog | None = None
         self._active = False
 
@@ -121,7 +121,11 @@ class EkfNode(SagomaNode):
 
     def _publish(self, answers: dict[int, Answer], stamp_ns: int) -> None:
         bodies = self._filters.bodies
-        tracked = {p: (a, bodies[p]) for p, a in answers.items() if isinstance(a, BodyState) and is_tracked(a)}
+        tracked = {
+            person: (answer, bodies[person])
+            for person, answer in answers.items()
+            if isinstance(answer, BodyState) and answer.tracking != Tracking.LOST
+        }
         self._topics.publish_bodies(tracked)
         by_id = {self._topics.id_of(p): body for p, body in tracked.items()}
         self._update_bodies(by_id, stamp_ns)
@@ -148,12 +152,9 @@ class EkfNode(SagomaNode):
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._answering:
             self._order.reset()
-            self._forget_states()
+            self._filters.reset()
         response.success, response.message = True, "everybody's next set with a visible torso starts anew"
         return response
-
-    def _forget_states(self) -> None:
-        self._filters.reset()
 
     def _update_bodies(self, tracked: Tracked, stamp_ns: int) -> None:
         for bodies in self._bodies:

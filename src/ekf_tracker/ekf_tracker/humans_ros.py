@@ -87,9 +87,6 @@ class HumansPublisher:
             self._frames.publish(lambda: [self._transform(i, *body) for i, body in tracked.items()])
         if self._tracked is not None:
             self._tracked.publish(_ids_message, list(tracked), stamp_ns)
-        for body_id, topics in self._bodies.items():
-            if body_id not in tracked:
-                topics.absent()
         for body_id, (state, body) in tracked.items():
             if body_id not in self._bodies:
                 self._bodies[body_id] = _BodyTopics(self._node, body_id)
@@ -129,9 +126,6 @@ class _BodyTopics:
             self._urdf.publish(lambda: String(data=human_urdf(body, self._id)))
         self._angles = hri_angles(state.pose, self._angles)
         self._joints.publish(self._joint_states, self._angles, state)
-
-    def absent(self) -> None:
-        self._angles = None
 
     def close(self) -> None:
         self._joints.close()

@@ -58,11 +58,6 @@ _PERSONS = ((0.34, 0.71, 0.91), (0.80, 0.47, 0.65), (0.0, 0.45, 0.70), (0.94, 0.
 Answer = BodyState | NoState
 
 
-def is_tracked(answer: Answer) -> bool:
-    """Return whether an answer has a body that is not lost."""
-    return isinstance(answer, BodyState) and answer.tracking != Tracking.LOST
-
-
 class PersonTopics:
     """What is published of one person under one prefix; the skeleton at a bounded rate, by the sets' stamps.
 

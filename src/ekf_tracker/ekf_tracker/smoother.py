@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
@@ -123,11 +122,3 @@ def _states(run: Sequence[_Filtered], smoothed: Sequence[Estimate]) -> list[Body
         of_points = {"points_world": points_world, "point_covariance": point_covariance}
         states.append(replace(found.state, **known, **of_points))
     return states
-
-
-def check_stamps(stamps_ns: Sequence[int], where: str) -> None:
-    """Raise InputError unless the stamps rise."""
-    if (np.diff(np.asarray(stamps_ns, dtype=np.int64)) <= 0).any():
-        raise InputError(
-            "stamps do not rise", where=where, remedy="Give a bag of one take; clocks were set back in it."
-        )

@@ -18,7 +18,6 @@ from .kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate
 from .measurement import Measurement, Sizes, linearised, squared_distances
 from .motion_model import (
     DIMENSION,
-    EXPECTED,
     NO_TRANSITION,
     POSE,
     VELOCITY,
@@ -99,8 +98,8 @@ class Track:
         """Correct the estimate with the points of the predicted stamp (thesis Table 5.7), of which some are doubtful,
         and some were found in another place.
 
-        A limb whose points the quiet process noise does not explain is taken to accelerate; one that is even farther
-        off, to have been somewhere else before. None when that is the torso: the track has to start anew.
+        A limb whose points the quiet process noise does not explain is taken to accelerate; of one that was found
+        elsewhere, what was known is released. None when that is the torso: the track has to start anew.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
@@ -111,7 +110,7 @@ class Track:
             raised = raised_covariance(prior.covariance, self._last_transition, accelerating)
             prior = prior._replace(covariance=raised)
             distances = squared_distances(prior, sizes, noise)
-        anew = z.visible & (moved | (distances > EXPECTED))
+        anew = z.visible & moved
         if 2 * np.count_nonzero(anew[TORSO_POINTS]) >= len(TORSO_POINTS) and enough_to_start(z):
             return None
         start = prior.arrays

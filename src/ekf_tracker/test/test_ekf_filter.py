@@ -41,7 +41,6 @@ def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body
     gentle, settings = DampedVelocity((8.0, 15.0, 15.0, 8.0)), replace(made.IDEAL, limit_sd_rad=0.0)
     monkeypatch.setattr(track, "motion_model", lambda settings: gentle)
     monkeypatch.setattr(motion_model, "EXPECTED", np.inf)
-    monkeypatch.setattr(track, "EXPECTED", np.inf)
     F, Q = made.dense_matrices(gentle.transition(1 / 60))
     Q_half = np.linalg.cholesky(Q)
     nees, nis = [], []
@@ -87,18 +86,11 @@ def test_identity_model_does_not_drift_but_reports_how_fast_the_body_moved(body,
 
 def test_doubt_of_a_measured_limb_is_the_filters_too(body, person):
     doubtful = np.arange(15) == HAND
-    for sets in (1, 2):  # at the first set as at the next
-        ekf = ArticulatedEkf(body, made.IDEAL)
-        for k in range(sets):
-            state = ekf.step(
-                made.stamp(k),
-                person.points(0.0),
-                made.isotropic(0.02),
-                made.ALL,
-                doubtful if k == sets - 1 else made.NONE,
-            )
-        assert state.parts == ARM_DOUBTFUL
-        assert np.flatnonzero(state.reference_points.doubtful).tolist() == sorted(LEFT_ARM)
+    ekf = ArticulatedEkf(body, made.IDEAL)
+    for k, measured in enumerate((doubtful, made.NONE, doubtful)):  # at the first set as at the next
+        state = ekf.step(made.stamp(k), person.points(0.0), made.isotropic(0.02), made.ALL, measured)
+        assert state.parts == (ARM_DOUBTFUL if measured.any() else (GOOD,) * 5)
+    assert np.flatnonzero(state.reference_points.doubtful).tolist() == sorted(LEFT_ARM)
 
 
 def test_gap_is_the_same_whether_sets_are_missing_or_empty(body, person):
@@ -120,18 +112,6 @@ def test_body_out_of_sight_stops_being_extrapolated(body, person):
     points = np.array([s.points_world for s in states])
     moved_mm = 1e3 * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
     assert moved_mm[39:45].min() > 1.0 and moved_mm[46:].max() < 1e-6
-
-
-def test_body_of_which_every_part_may_be_elsewhere_is_doubtful_and_goes_on(body, person):
-    ekf = ArticulatedEkf(body, made.IDEAL)
-    points = person.points(0.0)
-    states = [
-        ekf.step(made.stamp(k), points, made.isotropic(0.02), made.ALL, made.ALL if k >= 5 else made.NONE)
-        for k in range(10)
-    ]
-    assert states[4].tracking == Tracking.TRACKING
-    assert states[9].tracking == Tracking.DOUBTFUL and "every part" in states[9].reason
-    assert states[9].accepted.all()
 
 
 def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(body, person):
@@ -169,25 +149,6 @@ def test_filter_starts_from_part_of_the_torso_and_not_from_less(body, person):
 
 
 # --- hinges, singular poses, long runs ------------------------------------------------------------------------------
-
-
-def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_round(body):
-    """Beyond straight it is an elbow whose upper arm turned by pi."""
-    pose = made.Person(body).pose(0.3)
-    hinges = np.tile(pose.hinges, (90, 1))
-    hinges[:, 0] = 1.2 * (np.arange(90) / 60.0 - 0.75)
-    assert hinges[0, 0] < -0.8 and hinges[-1, 0] > 0.8
-    ekf = ArticulatedEkf(
-        body, replace(made.IDEAL, limit_sd_rad=0.0)
-    )  # no shoulder turns that far, but the test wants to
-    rng, errors = np.random.default_rng(2), []
-    for k in range(90):
-        points = forward(body, replace(pose, hinges=hinges[k]))
-        state = ekf.step(made.stamp(k), points + 0.01 * rng.standard_normal((15, 3)), made.isotropic(0.01), made.ALL)
-        errors.append(1e3 * np.linalg.norm(state.points_world - points, axis=1).max())
-        assert state.pose.hinges[0] <= 0.15
-    assert max(errors[SETTLED:]) < 40.0
-    assert state.pose.hinges[0] == pytest.approx(-hinges[-1, 0], abs=0.1)
 
 
 @pytest.mark.slow

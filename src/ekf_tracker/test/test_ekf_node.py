@@ -8,7 +8,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from ekf_person import ALL, NONE, isotropic, stamp
 from ekf_probe import OUTPUTS
 from node_probe import SUCCESS
-from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -65,25 +64,6 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     assert by_topic.mocap_state.message == "tracking" and by_topic.mocap_state.level == DiagnosticStatus.OK
 
 
-def test_prediction_is_published_after_everything_else(bench, person, monkeypatch):
-    """It is the signal that a set is done: whoever hears it may rely on the rest."""
-    b = bench(publish_humans=True).start()
-    joints = "/humans/bodies/b0001/joint_states"
-    b.listen(JointState, joints)
-    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._bodies[0]._bodies["b0001"]._joints.is_wanted)
-    order, publish = [], Publisher.publish
-
-    def recorded(publisher, message):
-        order.append(publisher.topic_name)
-        publish(publisher, message)
-
-    monkeypatch.setattr(Publisher, "publish", recorded)
-    b.fit(stamp(0), person.points(0.0))
-    order = [topic for topic in order if topic not in ("/diagnostics", "/icp/people")]
-    assert {joints, "/mocap/state", *(f"/{topic}" for topic in OUTPUTS)} <= set(order)
-    assert order[0] == "/mocap/robot_description" and order[-1] == "/ekf/prediction"
-
-
 def prediction_in(message):
     return read_predictions(message, "test").of[1]
 
@@ -113,19 +93,13 @@ def test_skeleton_is_limited_to_its_rate_by_stamps(bench, person):
     assert sum(topic == "mocap/joint_states" for topic, _ in b.arrived) == 12
 
 
-def test_sets_before_the_first_visible_torso_get_an_empty_prediction_and_nothing_else(bench):
-    b = bench().start()
-    got = b.fit(stamp(0), np.zeros((15, 3)), visible=NONE)
+@pytest.mark.parametrize("missing", ["torso", "body"])
+def test_sets_without_a_body_or_before_the_first_visible_torso_are_answered_empty(bench, person, missing):
+    b = (bench(body=None) if missing == "body" else bench()).start()
+    got = b.fit(stamp(0), person.points(0.0), visible=ALL if missing == "body" else NONE)
     assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
-    assert got[0][1].message == "acquiring" and "waiting for the torso" in got[0][1].values[0].value
+    assert got[0][1].message == "acquiring" and f"waiting for the {missing}" in got[0][1].values[0].value
     assert prediction_in(got[1][1]).pose is None
-
-
-def test_visible_set_without_a_body_is_answered_empty(bench, person):
-    b = bench(body=None).start()
-    got = b.fit(stamp(0), person.points(0.0))
-    assert not got[-1][1].joint_names
-    assert "waiting for the body" in got[-2][1].values[0].value
 
 
 def test_another_body_starts_the_filter_anew_and_the_same_one_does_not(bench, body, person):

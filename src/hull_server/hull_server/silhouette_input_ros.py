@@ -15,8 +15,7 @@ from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from sagoma_ros.health import ERROR, LOG_EVERY_S, WARN
 from sagoma_ros.images import ABSENT, decode_silhouette
-from sagoma_ros.limits import check_mask_bytes, read_message, same_but_for_stamp
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import check_mask_bytes, read_message, same_but_for_stamp, to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 

@@ -22,8 +22,7 @@ from mocap_packets.keypoints import NUMBERS, Detections, keypoints_of
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
 from sagoma_ros.health import LOG_EVERY_S
-from sagoma_ros.limits import oversize
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import oversize, to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import vectors_of_cloud
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER

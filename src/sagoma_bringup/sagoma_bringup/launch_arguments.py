@@ -52,7 +52,6 @@ OF_ANY_NODE = (
 OF_A_SERVER = (
     Argument("body", "body YAML; empty: measured when a person is found", ""),
     Argument("start", "first pose: a T-pose or whoever walks in (auto), or a T-pose alone", AUTO_START, STARTS[:2]),
-    switch("publish_humans", "publish REP-155 topics under /humans/bodies"),
     Argument("params", "ROS parameter file for all nodes, read last: its values win (keys: /**/hull_server ...)", ""),
     Argument("server", "hull, ICP and EKF nodes in one process, or in one each", ONE_PROCESS, SERVER_LAYOUTS),
 )
@@ -101,8 +100,6 @@ def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
     """Return the server's nodes, and the cameras' of a session or of ``cameras``."""
     session = load_session(values["session"]) if "session" in values else None
     settings = start_settings(session, values["start"])
-    if is_true(values, "publish_humans"):
-        settings["ekf_tracker.publish_humans"] = True
     if session is not None:
         settings |= PLAY_IN_STEP
     try:

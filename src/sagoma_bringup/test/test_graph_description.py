@@ -152,12 +152,8 @@ def test_the_server_is_one_process_and_each_camera_another(graph):
     assert str(server) == "/hull_server, /icp_tracker, /ekf_tracker"
 
 
-def test_three_processes_are_a_process_a_node(graph):
+def test_three_processes_are_a_process_a_node_and_so_is_a_part_of_the_server(graph):
     processes = processes_of(graph, THREE_PROCESSES)
-    assert [process.nodes for process in processes] == [(node,) for node in graph]
-    assert [process.module for process in processes] == [node.module for node in graph]
-
-
-def test_a_part_of_the_server_is_never_in_the_common_process(graph):
+    assert [(process.module, process.nodes) for process in processes] == [(node.module, (node,)) for node in graph]
     (process,) = processes_of(select(graph, "hull_server"))
     assert process.executable == "hull_server"

@@ -81,12 +81,11 @@ def test_a_rig_is_named_by_package_by_absolute_or_by_relative_path(rig, monkeypa
 def test_arguments_reach_the_nodes_that_they_are_for(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("/**/hull_server: {ros__parameters: {voxel_size_m: 0.03}}")
-    given = {"start": "t_pose", "publish_humans": "true", "use_sim_time": "true", "autostart": "false", "params": file}
+    given = {"start": "t_pose", "use_sim_time": "true", "autostart": "false", "params": file}
     (server,) = launched(LAUNCH / "server.launch.py", rig=RIG, **given)
     parameters = parameters_of(server)
     assert all(parameters[name]["use_sim_time"] and not parameters[name]["autostart"] for name in SERVER_NODES)
     assert parameters["icp_tracker"]["initial_pose.source"] == "t_pose"
-    assert parameters["ekf_tracker"]["publish_humans"] is True
     assert server.parameters[1:] == [str(file)]  # read last
 
 

@@ -23,7 +23,7 @@ from rclpy.subscription import Subscription
 from capture_rig.errors import InputError
 
 from .health import LOG_EVERY_S
-from .limits import oversize
+from .messages import oversize
 from .qos import RESULT
 
 

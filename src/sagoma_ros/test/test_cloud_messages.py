@@ -56,15 +56,6 @@ def floats(*names: str) -> list[tuple[str, int, int]]:
     return [(name, 4 * index, PointField.FLOAT32) for index, name in enumerate(names)]
 
 
-def test_cloud_is_laid_out_as_its_fields_say() -> None:
-    points = random_points(CENTERLINE, 5)
-    cloud = to_cloud(points, STAMP, "map")
-    area = next(field for field in cloud.fields if field.name == "area")
-    (value,) = struct.unpack_from("<f", bytes(cloud.data), 3 * cloud.point_step + area.offset)
-    assert value == points["area"][3]
-    assert (cloud.width, cloud.height, cloud.row_step) == (5, 1, len(cloud.data))
-
-
 MIXED = [
     ("surface", 0, PointField.UINT8),
     ("z", 4, PointField.FLOAT32),

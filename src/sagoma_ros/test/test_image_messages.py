@@ -9,12 +9,9 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CameraInfo, CompressedImage
-from std_msgs.msg import Header
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -32,8 +29,7 @@ from sagoma_ros.images import (
     silhouette_message,
     support_message,
 )
-from sagoma_ros.limits import same_but_for_stamp
-from sagoma_ros.messages import read_thinning, thinning_message, to_ns, to_stamp
+from sagoma_ros.messages import read_thinning, thinning_message, to_ns
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "cam01/silhouette/compressed"
@@ -98,14 +94,6 @@ def test_message_that_is_no_silhouette_is_refused_with_topic_cause_and_remedy(me
     assert str(caught.value).startswith(f"{TOPIC}: ") and caught.value.remedy
 
 
-def test_preview_is_a_jpeg_of_the_image() -> None:
-    image = np.full((HEIGHT, WIDTH, 3), (30, 90, 200), np.uint8)
-    message = preview_message(image, STAMP, "cam01_optical")
-    assert message.format == "jpeg"
-    decoded = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
-    assert np.abs(decoded.astype(int) - image).max() < 6
-
-
 @pytest.mark.parametrize(("shape", "encoding", "step"), [((4, 6), "mono8", 6), ((4, 6, 3), "bgr8", 18)])
 def test_image_message_holds_the_pixels_as_they_look_and_not_as_they_lie_in_memory(
     shape: tuple[int, ...], encoding: str, step: int
@@ -146,27 +134,11 @@ def test_report_that_does_not_fit_is_refused(level: int, width: int) -> None:
         read_support(image_message(cells, STAMP, "cam01_optical"), "cam01", width, TOPIC)
 
 
-def test_messages_are_compared_without_their_stamps() -> None:
-    def info(stamp: int, width: int) -> bytes:
-        return serialize_message(CameraInfo(header=Header(stamp=Time(sec=stamp), frame_id="cam01"), width=width))
-
-    assert same_but_for_stamp(info(1, 640), info(2, 640))
-    assert not same_but_for_stamp(info(1, 640), info(1, 641))
-    assert not same_but_for_stamp(info(1, 640), None)
-
-
 # --- stamps, thinning and quality of service --------------------------------------------------------------------------
 
 RULE = FrameDecimation(
     1_790_000_000_123_456_789, 1_790_000_000_200_000_000, 1_789_999_999_000_000_001, 16_666_666.667, 9, 20
 )
-
-
-@pytest.mark.parametrize("ns", [0, 1, 999_999_999, 1_000_000_000, 1_700_000_000_123_456_789])
-def test_stamp_keeps_every_nanosecond(ns: int) -> None:
-    stamp = to_stamp(ns)
-    assert (stamp.sec, stamp.nanosec) == (ns // 10**9, ns % 10**9)
-    assert to_ns(stamp) == ns
 
 
 @pytest.mark.parametrize(
@@ -197,11 +169,3 @@ def test_message_without_a_usable_rule_of_thinning_is_refused(key: str | None, v
 @pytest.mark.parametrize("subscriber", [qos.SILHOUETTE_SUBSCRIBER, qos.SILHOUETTE_RELIABLE_SUBSCRIBER])
 def test_silhouettes_reach_the_live_server_and_the_recorder(subscriber: QoSProfile) -> None:
     assert qos_check_compatible(qos.SILHOUETTE_PUBLISHER, subscriber)[0] != QoSCompatibility.ERROR
-
-
-def test_publishers_are_reliable_the_live_server_is_not_and_latched_topics_keep_one_message() -> None:
-    for profile in (qos.SILHOUETTE_PUBLISHER, qos.RESULT, qos.LATCHED):
-        assert profile.reliability == ReliabilityPolicy.RELIABLE
-    assert qos.SILHOUETTE_SUBSCRIBER.reliability == ReliabilityPolicy.BEST_EFFORT
-    assert qos.SILHOUETTE_SUBSCRIBER.depth >= 20
-    assert (qos.LATCHED.durability, qos.LATCHED.depth) == (DurabilityPolicy.TRANSIENT_LOCAL, 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import threading
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from node_probe import FAILURE, SUCCESS
-from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
@@ -23,7 +20,6 @@ from capture_rig.errors import InputError
 from capture_rig.settings import setting
 from sagoma_ros import health
 from sagoma_ros.health import ERROR, OK, WARN, NodeHealth
-from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.process import autostart
 from sagoma_ros.qos import RESULT
@@ -53,14 +49,6 @@ class Listener:
 
 def values(status: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in status.values}
-
-
-def test_health_arrives_once_a_second_without_being_asked(ros: Spinner) -> None:
-    listener = Listener(ros)
-    listener.next_status()
-    listener.next_status()
-    first, second = (to_ns(message.header.stamp) for message in listener.received[:2])
-    assert health.PERIOD_S == 1.0 and (second - first) * 1e-9 > 0.9 * health.PERIOD_S
 
 
 def test_health_carries_counters_values_state_and_memory(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,21 +109,7 @@ def test_latency_percentiles_are_the_ages_of_the_results(ros: Spinner, monkeypat
     assert "latency_p50_ms" not in values(node_health.snapshot())  # nothing since
 
 
-def test_counters_lose_nothing_between_threads(ros: Spinner) -> None:
-    node_health = Listener(ros).health
-    threads = [threading.Thread(target=lambda: [node_health.count("frames") for _ in range(2000)]) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert node_health.counter("frames") == 8000
-
-
 # --- the lifecycle ----------------------------------------------------------------------------------------------------
-
-
-if TYPE_CHECKING:
-    from node_probe import Spinner
 
 
 @dataclass(frozen=True)
@@ -276,11 +250,6 @@ def test_autostart_configures_and_activates_where_asked_for(ros: Spinner, given,
     assert (node.state, node.hooks) == (state, hooks)
 
 
-def test_autostart_of_a_wrong_type_is_refused_by_name(ros: Spinner) -> None:
-    with pytest.raises(InputError, match="autostart = 'yes' is not of type bool"):
-        autostart([make_node(ros, autostart="yes")])
-
-
 def test_impossible_and_failed_transitions_are_answered_with_no_and_kill_nothing(ros: Spinner) -> None:
     node = make_node(ros)
     client = node.create_client(ChangeState, "example/change_state")
@@ -296,26 +265,3 @@ def test_impossible_and_failed_transitions_are_answered_with_no_and_kill_nothing
     assert node.state == "unconfigured"
     node.set_parameters([Parameter("rig_file", value="rig.yaml")])
     assert change_state(Transition.TRANSITION_CONFIGURE) and node.state == "inactive"
-
-
-def test_change_of_a_configured_node_says_when_it_takes_effect(ros: Spinner, capfd) -> None:
-    """Over the service, as ``ros2 param set`` asks: it prints the reason of a success, too."""
-    node = make_node(ros, rig_file="rig.yaml")
-    client_node = ros.add(Node("param_set", context=ros.context))
-    client = client_node.create_client(SetParameters, f"{node.get_fully_qualified_name()}/set_parameters")
-    ros.until(client.service_is_ready)
-
-    def set_cameras(value: int) -> SetParametersResult:
-        change = Parameter("cameras", value=value).to_parameter_msg()
-        answer = client.call_async(SetParameters.Request(parameters=[change]))
-        ros.until(answer.done)
-        return answer.result().results[0]
-
-    assert (set_cameras(2).successful, set_cameras(3).reason) == (True, "")
-    assert node.trigger_configure() == SUCCESS and node.trigger_activate() == SUCCESS
-    late = set_cameras(5)
-    assert late.successful and late.reason.startswith("takes effect at the next configure")
-    assert node.settings.cameras == 3 and "cameras: takes effect at the next configure" in capfd.readouterr().err
-    assert node.trigger_deactivate() == SUCCESS and node.trigger_cleanup() == SUCCESS
-    assert set_cameras(6).reason == "" and node.trigger_configure() == SUCCESS
-    assert node.settings.cameras == 6

@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from sagoma_ros.middleware import package_path, resolve_packages
-from sagoma_ros.node import declare_parameters, read_declared, read_parameters
+from sagoma_ros.middleware import package_path
+from sagoma_ros.node import declare_parameters, read_parameters
 from sagoma_ros.qos import graph_topic
 
 if TYPE_CHECKING:
@@ -74,10 +74,6 @@ def test_parameter_file_is_read_with_empty_lists(ros: Spinner, tmp_path: Path) -
     assert (read.cameras, read.low, read.ids, read.axes, read.blob) == (5, [0.5, 1.0], [4, 2], [], Blob(0.25))
 
 
-def test_override_of_another_settings_class_is_none_of_our_business_when_reading_the_declared(ros: Spinner) -> None:
-    assert read_declared(make_node(ros, {"someone_elses": 1}), Settings) == Settings()
-
-
 def test_later_change_that_is_bad_is_rejected_with_its_reason_and_one_that_is_good_is_read_next_time(
     ros: Spinner,
 ) -> None:
@@ -135,8 +131,3 @@ def test_a_package_uri_is_a_file_in_its_share_folder_or_its_sources(tmp_path: Pa
 def test_a_package_that_is_not_there_is_an_error_that_names_it(uri: str) -> None:
     with pytest.raises(InputError, match=r"there is no package"):
         package_path(uri)
-
-
-def test_values_that_name_no_package_stay_as_they_are() -> None:
-    values = [1, 0.5, True, "config/rig.yaml", ["a", "b"], []]
-    assert [resolve_packages(value) for value in values] == values

@@ -19,7 +19,7 @@ from mocap_packets.hull import HullProducts
 from sagoma_ros.inputs import Worker
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.packets import HULL_PRODUCTS, tables_message
-from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.qos import RESULT
 
 PATIENCE_S = 20.0
 
@@ -51,16 +51,6 @@ class GatedWorker:
 
     def _drop(self) -> None:
         self.dropped += 1
-
-
-def test_items_are_worked_on_in_order_by_another_thread() -> None:
-    threads: list[str] = []
-    gated = GatedWorker(depth=100, function=lambda item: threads.append(threading.current_thread().name))
-    for item in range(50):
-        gated.worker.put(item)
-    gated.finish()
-    assert gated.done == list(range(50)) and gated.dropped == 0
-    assert threads == ["gated"] * 50
 
 
 def test_full_queue_drops_the_oldest_and_counts_it_and_put_never_waits() -> None:
@@ -96,26 +86,6 @@ def test_close_drops_and_counts_what_waits_but_ends_what_runs() -> None:
     assert gated.worker.close(timeout_s=PATIENCE_S)
     assert gated.done == [0]
     assert gated.dropped == 3
-
-
-@pytest.mark.parametrize("finish", [True, False])
-def test_idle_worker_may_be_closed_twice_and_drops_and_counts_what_comes_later(finish: bool) -> None:
-    gated = GatedWorker(depth=1)
-    assert gated.worker.close(finish=finish, timeout_s=PATIENCE_S)
-    assert gated.worker.close(finish=finish, timeout_s=PATIENCE_S)
-    gated.worker.put(7)
-    assert (gated.done, gated.dropped) == ([], 1)
-
-
-def test_worker_can_close_itself() -> None:
-    gated = GatedWorker(depth=10, function=lambda item: None)
-    closed: list[bool] = []
-    gated.function = lambda item: closed.append(gated.worker.close())
-    gated.block()
-    gated.worker.put(1)
-    gated.go.set()
-    assert gated.worker.close(timeout_s=PATIENCE_S)
-    assert closed[:1] == [True]
 
 
 def test_patient_put_drops_nothing_and_keeps_to_the_depth() -> None:
@@ -273,12 +243,3 @@ def test_message_that_nobody_takes_is_not_made(ros: Spinner, outside: Spinner) -
     publisher.publish(message, "heard")
     outside.until(lambda: heard)
     assert made == ["heard"] == [heard[0].data]
-
-
-def test_message_of_a_latched_topic_is_made_before_anybody_listens(ros: Spinner, outside: Spinner) -> None:
-    publisher = LazyPublisher(make(ros, "sender"), String, "text", LATCHED)
-    publisher.publish(lambda: String(data="kept"))
-    heard: list[String] = []
-    make(outside, "listener").create_subscription(String, "text", heard.append, LATCHED)
-    outside.until(lambda: heard)
-    assert heard[0].data == "kept"

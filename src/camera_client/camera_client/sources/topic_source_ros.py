@@ -19,8 +19,7 @@ from sensor_msgs.msg import Image as ImageMessage
 
 from capture_rig.errors import InputError
 from sagoma_ros.images import decode_image
-from sagoma_ros.limits import read_message
-from sagoma_ros.messages import NS_PER_S, to_ns
+from sagoma_ros.messages import NS_PER_S, read_message, to_ns
 
 from ..frame_source import LASTING_S, POLL_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import TopicSettings

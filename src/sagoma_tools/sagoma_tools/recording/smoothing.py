@@ -14,7 +14,7 @@ from capture_rig.errors import InputError
 from ekf_tracker.motion_model import POSE
 from ekf_tracker.people_ros import rotations_message, torso_message
 from ekf_tracker.settings import EkfSettings
-from ekf_tracker.smoother import Set, check_stamps, smooth
+from ekf_tracker.smoother import Set, smooth
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
 from mocap_packets.people import parse_bodies
 from mocap_packets.state import BodyState
@@ -65,8 +65,7 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
 
 def read_fits(bag: str | Path) -> tuple[dict[int, list[list[Set]]], dict[int, str]]:
     """Return everybody's fits in bag order, each with the body that was followed then: of each person, by number, the
-    runs of frame sets without a set that lacks the person; and the name of each set's frame, by its stamp. InputError
-    for falling stamps.
+    runs of frame sets without a set that lacks the person; and the name of each set's frame, by its stamp.
 
     A body is published with the set that it was measured or refined with, before or just after its points; the first
     one serves the sets before it as well.
@@ -91,8 +90,6 @@ def read_fits(bag: str | Path) -> tuple[dict[int, list[list[Set]]], dict[int, st
                 runs.append([])
             runs[-1].append(Set(stamp_ns, points, _body_at(log_ns, bodies.get(person, []))))
         before = people
-    for runs in runs_of.values():
-        check_stamps([one.stamp_ns for run in runs for one in run], str(bag))
     return runs_of, frames
 
 
