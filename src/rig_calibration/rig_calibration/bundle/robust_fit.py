@@ -37,7 +37,7 @@ from .adjustment import (
     shared_of,
     step,
 )
-from .initial_poses import InitialPoses, most_seen
+from .initial_poses import InitialPoses
 from .problem import LINE, Problem, View
 from .state import POSE, WARP, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 
@@ -130,7 +130,8 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
     )
     layout = state.layout
     sd = np.full(layout.size, np.inf)
-    sd[layout.scales[np.array(targets) != most_seen(problem.detections, targets)]] = SIZE_SD
+    most_seen = int(np.bincount(seen.target, minlength=len(targets)).argmax())  # the others' sizes are compared with it
+    sd[np.delete(layout.scales, most_seen)] = SIZE_SD
     prior = Prior(shared_of(state), np.diag(sd**-2.0))
     rows = np.flatnonzero(keep)
     return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
