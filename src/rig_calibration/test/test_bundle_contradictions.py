@@ -9,7 +9,7 @@ import pytest
 from capture_rig.errors import InputError
 from capture_rig.verdict import REDO, USABLE
 from rig_calibration.boards.board import TargetDetection
-from rig_calibration.bundle.robust_fit import ODD_ONE, PAIR
+from rig_calibration.bundle.robust_fit import CONTRADICTS
 from rig_calibration.bundle.solve import RigSolution, solve_rig
 from rig_calibration.extrinsics.calibrate import footage_findings
 
@@ -58,14 +58,14 @@ def test_one_view_of_several_that_is_upside_down_or_moved_is_named(camera: int, 
     on_floor = [i for i, s in enumerate(detections) if s.target == "floor"]
     row = (on_floor if target == "floor" else seen_by(detections, 3))[camera]
     detections[row] = spoilt(detections[row])
-    assert solved(detections)[1] == {named(detections[row], ODD_ONE)}
+    assert solved(detections)[1] == {named(detections[row], CONTRADICTS)}
 
 
 def test_both_views_go_when_two_cameras_contradict_each_other():
     detections = scene(frames=30)
     rows = [i for i, s in enumerate(detections) if (s.target, s.frame_index) == ("moving", 19)]
     detections[rows[0]] = shifted(detections[rows[0]])
-    assert solved(detections)[1] == {named(detections[row], PAIR) for row in rows}
+    assert solved(detections)[1] == {named(detections[row], CONTRADICTS) for row in rows}
 
 
 def test_one_wrong_corner_does_not_cost_the_view():

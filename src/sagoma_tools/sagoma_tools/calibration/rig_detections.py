@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from rig_calibration.boards.wand import find_wand
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING
 
 from ..console import doing, until_stopped
-from .footage import CameraFootage, Footage, open_footage_of_cameras
+from .footage import CameraFootage, open_footage_of_cameras
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
@@ -36,6 +36,8 @@ MAX_BLUR_PX = 2.5
 """Corners of a board that is blurred more (sigma of its edges) are not used; a wand's markers have no blur."""
 
 Picture = np.ndarray
+Footage: TypeAlias = "CameraFootage | Sequence[tuple[int, Picture]]"
+"""Frame indices and pictures of one camera."""
 FORMAT = (
     "Write NAME: [[x, y], [x, y], [x, y], [x, y]] for each camera, or NAME: {corners: [...], frame: 12}: the outermost "
     "inner corners of the print in pixels, in reading order (first row's two ends, then the last row's last and first)."
@@ -112,7 +114,7 @@ def find_floor(footage: Mapping[str, Footage], board: Board, corners: Corners) -
         return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
 
     only = {name: given.frame for name, given in corners.items()}
-    steps = {name: max(1, -(-clip.count // FLOOR_FRAMES)) for name, clip in footage.items()}
+    steps = {name: max(1, -(-len(clip) // FLOOR_FRAMES)) for name, clip in footage.items()}
     return _in_all("board on the floor", footage, find, steps, only)
 
 
@@ -198,12 +200,12 @@ def _common_step(clips: Mapping[str, CameraFootage]) -> dict[str, int]:
         said = f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant"
         remedy = "Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4."
         raise InputError(said, where=", ".join(clips[name].where for name in rates), remedy=remedy)
-    return dict.fromkeys(clips, max(1, -(-max((clip.count for clip in clips.values()), default=0) // MOVING_FRAMES)))
+    return dict.fromkeys(clips, max(1, -(-max(map(len, clips.values()), default=0) // MOVING_FRAMES)))
 
 
 def _median_picture(footage: CameraFootage) -> Picture | None:
     """Return the static background: the median of some frames; None of footage with too few."""
-    step = max(1, footage.count // MEDIAN_FRAMES)
+    step = max(1, len(footage) // MEDIAN_FRAMES)
     some = [image for index, (_, image) in enumerate(footage) if index % step == 0]
     return np.median(np.stack(some), axis=0).astype(np.uint8) if len(some) >= MEDIAN_FRAMES else None
 
