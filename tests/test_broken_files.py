@@ -28,7 +28,7 @@ from capture_rig.yaml_file import save_mapping
 from icp_tracker.acquisition.initial_pose import load_initial_pose
 from rig_calibration.boards.board import read_board
 from sagoma_bringup.graph import camera_from_file
-from sagoma_tools.calibration.outer_corners import read_corners
+from sagoma_tools.calibration.rig_detections import read_corners
 from sagoma_tools.cli import main
 from sagoma_tools.recording.reader import read_messages, read_provenance
 from sagoma_tools.recording.writer import BagWriter

@@ -76,19 +76,20 @@ class Truth:
 
     def stick_figure_points(self) -> Array:
         """(F, 15, 3) the reference with hand tips: wrists are extended along the forearm where it ends there."""
-        points = self.points_world.copy()
-        for hand, elbow in ((LEFT_HAND, LEFT_ELBOW), (RIGHT_HAND, RIGHT_ELBOW)):
-            forearm = points[:, hand] - points[:, elbow]
-            points[:, hand] = points[:, elbow] + forearm / self.wrist_fraction
-        return points
+        return _with_hands(self.points_world, 1 / self.wrist_fraction)
 
     def comparable(self, points_world: Array) -> Array:
         """The stick figure's points (..., 15, 3) as this reference defines them: hand tips moved to the wrists."""
-        points = np.array(points_world, float)
-        for hand, elbow in ((LEFT_HAND, LEFT_ELBOW), (RIGHT_HAND, RIGHT_ELBOW)):
-            forearm = points[..., hand, :] - points[..., elbow, :]
-            points[..., hand, :] = points[..., elbow, :] + self.wrist_fraction * forearm
-        return points
+        return _with_hands(points_world, self.wrist_fraction)
+
+
+def _with_hands(points_world: Array, share: float) -> Array:
+    """Return points (..., 15, 3) whose hand points lie at this share of the way from the elbow to where they lay."""
+    points = np.array(points_world, float)
+    for hand, elbow in ((LEFT_HAND, LEFT_ELBOW), (RIGHT_HAND, RIGHT_ELBOW)):
+        forearm = points[..., hand, :] - points[..., elbow, :]
+        points[..., hand, :] = points[..., elbow, :] + share * forearm
+    return points
 
 
 def load_truth(path: str | Path) -> Truth:

@@ -66,15 +66,6 @@ def test_a_link_stays_and_its_file_is_replaced(tmp_path) -> None:
     assert (tmp_path / "rig.yaml").is_symlink() and (tmp_path / "there" / "rig.yaml").read_text() == "new"
 
 
-def test_a_new_file_follows_the_users_mask(tmp_path) -> None:
-    before = os.umask(0o027)
-    try:
-        write_text(tmp_path / "rig.yaml", "new")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "rig.yaml").stat().st_mode & 0o777 == 0o640
-
-
 def test_what_cannot_be_written_is_an_error_with_a_remedy(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     for path, says in (

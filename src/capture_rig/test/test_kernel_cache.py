@@ -13,7 +13,7 @@ import pytest
 from numba.core import event
 
 import capture_rig
-from capture_rig.kernel import _KernelDispatcher, _PartDispatcher, kernel, njit
+from capture_rig.kernel import _KernelDispatcher, _PartDispatcher, njit
 
 LEAF = """
 from capture_rig.kernel import njit
@@ -117,12 +117,6 @@ def of_numpy(values):
     return np.sort(np.concatenate((values, np.zeros(2)))).sum()
 
 
-@kernel
-def add(a, b, total):
-    for k in range(a.shape[0]):
-        total[k] = a[k] + b[k]
-
-
 def test_what_a_called_function_raises_reaches_python():
     assert calls(2.0) == 6.0
     with pytest.raises(ValueError, match="negative"):
@@ -144,14 +138,6 @@ def test_kernel_can_be_sent_to_another_process():
         check=True,
     )
     assert float(sent.stdout) == 6.0
-
-
-def test_what_a_kernel_calls_can_be_called_from_python_too():
-    calls(1.0)
-    assert refuses(1.0).tolist() == [1.0, 1.0, 1.0]
-    total = np.zeros(2)
-    add(np.ones(2), np.ones(2), total)
-    assert total.tolist() == [2.0, 2.0]
 
 
 @njit(cache=False, crops=True)

@@ -160,29 +160,21 @@ NO_ROTATION = "R_camera_world is not a rotation"
     ("key", "value", "says"),
     [
         ("camera_matrix", [[0.0, 0, 320], [0, 470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),
-        ("camera_matrix", [[470, 0, 320], [0, -470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),
-        ("camera_matrix", [[470, 0, 320], [0, 470, 240], [0, 0, 0]], "fx, fy > 0 pixels"),
         ("camera_matrix", [[470, 2.5, 320], [0, 470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),  # OpenCV has no skew
         ("camera_matrix", [[470, 0, -1e9], [0, 470, 240], [0, 0, 1]], "has its principal point at ["),
-        ("camera_matrix", [[470, 0, 320], [0, 470, -1e9], [0, 0, 1]], "has its principal point at ["),
         ("camera_matrix", [[float("nan"), 0, 320], [0, 470, 240], [0, 0, 1]], NOT_FINITE),
-        ("camera_matrix", [[470, 0], [0, 470]], NOT_FINITE),
         ("distortion", [0.1, float("inf"), 0, 0, 0], NOT_FINITE),
         ("distortion", [0.1] * 8, "is not 5 finite numbers"),
-        ("distortion", 0.1, "is not 5 finite numbers"),
         ("distortion_model", "rational_polynomial", "is not 8 finite numbers"),
         ("distortion_model", "fisheye", "= 'fisheye' is not known"),
-        ("R_camera_world", [[1, 0, 0], [0, 1, 0]], NOT_FINITE),
-        ("R_camera_world", [[1.1, 0, 0], [0, 1, 0], [0, 0, 1]], NO_ROTATION),
         ("R_camera_world", [[1, 0.01, 0], [0, 1, 0], [0, 0, 1]], NO_ROTATION),
         ("R_camera_world", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "by 2"),
         ("t_camera_world", [0, float("nan"), 0], NOT_FINITE),
-        ("t_camera_world", [0, 1], NOT_FINITE),
         ("t_camera_world", ["left", 0, 1], NOT_FINITE),
         *(("line_time_s", value, f"= {value!r} is not a number from 0") for value in (-1e-5, 0.015, "fast", True)),
         *(
             ("image_height", size, f"= {size!r} is not a whole number from 1 to 20000")
-            for size in (0, -640, 640.5, "640", True, None, 60000, 10**9)
+            for size in (0, 640.5, "640", True, 60000)
         ),
     ],
 )
@@ -218,11 +210,9 @@ def test_more_cameras_than_a_set_can_hold_are_refused(tmp_path: Path) -> None:
     ("volume", "problem"),
     [
         ({"low": [0, 0, 0], "high": [1, 1, 0]}, "is not above low"),
-        ({"low": [0, 0, 0]}, "is not a volume"),
         ({"low": [0, 0, 0], "high": [1, 1, 1], "unit": "m"}, "is not a volume"),
         ([0, 0, 0, 1, 1, 1], "is not a volume"),
         ({"low": [0, 0], "high": [1, 1, 1]}, "low = [0, 0] is not 3 finite numbers"),
-        (None, "is not a volume"),
     ],
 )
 def test_volume_that_is_no_box_is_refused(tmp_path: Path, volume: object, problem: str) -> None:

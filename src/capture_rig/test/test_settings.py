@@ -112,11 +112,7 @@ NO_NAMES = ["", "..", "../..", "/map", "map/", "a//b", "a/../b", "two words", "a
             ({key: value}, f"{key} = {value!r} is not of type {kind}. Give a {kind}; the default is ")
             for key, value, kind in OTHER_TYPES
         ),
-        *(({key: value}, f"{key} = {value!r}") for key, value, _ in OUT_OF_RANGE),
-        *(
-            ({key: value}, f"is out of range. Allowed: {allowed}; the default is ")
-            for key, value, allowed in OUT_OF_RANGE
-        ),
+        *(({key: value}, f"Allowed: {allowed}; the default is ") for key, value, allowed in OUT_OF_RANGE),
         *(({"frame": name}, f"frame = {name!r} is not a name") for name in NO_NAMES),
     ],
     ids=str,
@@ -133,14 +129,6 @@ def test_a_plain_field_is_an_option_of_the_code_and_no_setting() -> None:
     assert list(leaves(WithOption)) == list(leaves(Example))
     with pytest.raises(InputError, match="unknown key 'option'"):
         build_settings(WithOption, {"option": 1.0}, "hull.yaml")
-
-
-def test_leaves_carry_key_default_help_and_unit() -> None:
-    found = {leaf.key: leaf for leaf in leaves(Example)}
-    assert list(found)[-2:] == ["blob.min_area_m2", "blob.max_elongation"]
-    assert found["blob.min_area_m2"].default == 0.002
-    assert found["blob.min_area_m2"].metadata["unit"] == "m^2"
-    assert found["axes"].default == ["x", "y"]
 
 
 # --- The text of the one error that users see.

@@ -9,8 +9,7 @@ from rendered_boards import camera, looking_at_board, render, true_corners
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import read_board
-from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.four_corners import find_from_outer_corners
+from rig_calibration.boards.detector import diagnose_board, find_board, find_from_outer_corners
 
 BOARD = read_board("checkerboard 9x6 25mm")
 CHARUCO = read_board("charuco 8x6 30mm 22mm DICT_5X5_100")

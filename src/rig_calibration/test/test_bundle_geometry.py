@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, project, rotation
+from bundle_studio import BOARD, SIZE, camera_at, carried, project, rotation
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rigid import transform
-from rig_calibration.boards.board import Checkerboard, TargetDetection
+from rig_calibration.boards.board import TargetDetection
 from rig_calibration.bundle.initial_poses import require_connected
 from rig_calibration.bundle.problem import DetectionPoses, TargetShape, poses_of, target_shape
 from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
@@ -121,13 +121,6 @@ def test_no_pose_from_three_corners_or_a_row_of_them(ids: list[int]):
     assert detection_poses(detection, camera_at("cam01", (3, 0, 2)), target_shape("", BOARD.corners_board)) is None
 
 
-def test_turned_points_lie_on_the_points_in_reverse():
-    shape = target_shape("", Checkerboard(8, 6, (0.1, 0.1)).corners_board, looks_alike=True)
-    for way, R in enumerate(shape.ways):
-        np.testing.assert_allclose(shape.points @ R.T, shape.points[shape.numbered(np.arange(48), way)], atol=1e-12)
-    assert len(shape.ways) == 2
-
-
 def test_cameras_without_common_view_are_named_by_group():
     shown = [
         TargetDetection(camera, frame_index, np.arange(30), np.zeros((30, 2)), SIZE)
@@ -137,4 +130,3 @@ def test_cameras_without_common_view_are_named_by_group():
         require_connected(["cam04", "cam03", "cam02", "cam01"], shown)
     with pytest.raises(InputError, match=r"cam05: no picture"):
         require_connected(["cam01", "cam02", "cam05"], shown[:2])
-    assert len(TARGETS["moving"]) == 30

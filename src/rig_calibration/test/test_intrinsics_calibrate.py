@@ -2,7 +2,6 @@
 are wrong are left out and named."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,7 +11,6 @@ from intrinsics_views import BOARD, errors_in_sds, found, lens, lens_errors, sai
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard
-from rig_calibration.intrinsics.calibrate import typical_ratio
 from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
 
@@ -108,17 +106,6 @@ def test_same_detections_in_any_order_give_the_same_bytes():
 def test_auto_keeps_the_simple_model_for_a_lens_that_it_describes():
     plain = found(shown(lens(), 20, 0.2, seed=10), model="auto")
     assert plain.camera.distortion_model == "plumb_bob" and "no better, so the simpler one" in plain.choice
-
-
-def test_models_are_compared_view_by_view_and_not_by_which_view_is_the_median_one():
-    def fit(*rms_px):
-        views = [SimpleNamespace(detection=SimpleNamespace(frame_index=k), rms_px=r) for k, r in enumerate(rms_px) if r]
-        return SimpleNamespace(views=views)
-
-    simple, rich = fit(0.02, 0.030, 0.036, 0.05, 0.06), fit(0.02, 0.031, 0.033, 0.05, 0.06)  # medians 9 % apart
-    assert typical_ratio(simple, rich) == 1.0
-    assert typical_ratio(fit(0.04, 0.06, 0.0, 0.0, 0.0), rich) == np.inf  # it left out three of five
-    assert typical_ratio(rich, fit(0.04, 0.06, 0.0, 0.0, 0.0)) == 0.0
 
 
 # --- views that are wrong ---------------------------------------------------------------------------------------------

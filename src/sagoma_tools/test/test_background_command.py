@@ -170,7 +170,7 @@ def test_show_prints_where_a_background_comes_from_and_what_speaks_against_it_an
     assert sigma.shape == (60, 80, 3) and sigma[12:18, 52:58].mean() > 1.5 * sigma[40:, :40].mean()
     assert sigma[10, 50].tolist() == [0, 0, 255]
     assert main(["background", "show", str(saved), "--output", str(saved)]) == 2
-    assert "A file has that name: choose another" in capsys.readouterr().err
+    assert "cannot be made (File exists)" in capsys.readouterr().err
 
 
 def test_show_names_what_changed_since_another_background(saved, tmp_path, capsys):

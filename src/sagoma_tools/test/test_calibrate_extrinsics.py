@@ -19,7 +19,7 @@ from footage_clips import write_clip
 
 from capture_rig.rig import load_rig, save_rig
 from rig_calibration.boards.board import Checkerboard
-from sagoma_tools.calibration.outer_corners import read_corners
+from sagoma_tools.calibration.rig_detections import read_corners
 from sagoma_tools.cli import main
 
 BOARD = Checkerboard(7, 4, (0.12, 0.12))

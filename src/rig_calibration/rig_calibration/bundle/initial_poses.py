@@ -85,12 +85,6 @@ def require_connected(
         )
 
 
-def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> str:
-    """Find the target with the most detections: the one that the others' sizes are compared with."""
-    counts = {name: sum(detection.target == name for detection in detections) for name in targets}
-    return max(sorted(counts), key=lambda name: counts[name])
-
-
 # --- First poses.
 
 

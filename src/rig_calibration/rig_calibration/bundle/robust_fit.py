@@ -37,7 +37,7 @@ from .adjustment import (
     shared_of,
     step,
 )
-from .initial_poses import InitialPoses, most_seen
+from .initial_poses import InitialPoses
 from .problem import LINE, Problem, View
 from .state import POSE, WARP, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 
@@ -45,8 +45,7 @@ ROUNDS = 20
 DISPLACEMENT_ROUNDS = 8
 POSITION = slice(3, 6)
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
-ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
-PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
+CONTRADICTS = "contradicts the others' views in that frame (wrong corners, or moved between the exposures)"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
 SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
@@ -125,24 +124,21 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
     keep = placed & in_front
     on_a_line = np.array([view.shape.dimension == LINE for view in views], bool)  # one view of a wand is no mishap
     left_out = tuple(
-        RejectedDetection(detections[i], ODD_ONE if placed[i] else NO_POSE)
+        RejectedDetection(detections[i], CONTRADICTS if placed[i] else NO_POSE)
         for i in np.flatnonzero(~keep & (placed | ~on_a_line))
     )
     layout = state.layout
     sd = np.full(layout.size, np.inf)
-    sd[layout.scales[np.array(targets) != most_seen(problem.detections, targets)]] = SIZE_SD
+    most_seen = int(np.bincount(seen.target, minlength=len(targets)).argmax())  # the others' sizes are compared with it
+    sd[np.delete(layout.scales, most_seen)] = SIZE_SD
     prior = Prior(shared_of(state), np.diag(sd**-2.0))
     rows = np.flatnonzero(keep)
     return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
 
 
 def settled(fit: Fit) -> Fit:
-    """Adjust, contradictions left out, targets allowed to have moved between the cameras' exposures."""
-    return _with_displacement(without_contradictions(fit))
-
-
-def without_contradictions(fit: Fit) -> Fit:
-    """Adjust and leave out what contradicts the rest, until nothing does."""
+    """Adjust and leave out what contradicts the rest, until nothing does; then allow targets to have moved between the
+    cameras' exposures."""
     fit = adjusted(fit)
     for _ in range(ROUNDS):
         out = _contradictions(fit)
@@ -151,7 +147,7 @@ def without_contradictions(fit: Fit) -> Fit:
         left_out = [RejectedDetection(fit.detections[row], reason) for row, reason in out]
         rows = np.delete(fit.rows, [row for row, _ in out])
         fit = adjusted(replace(fit, rows=rows, left_out=(*fit.left_out, *left_out)))
-    return fit
+    return _with_displacement(fit)
 
 
 def adjusted(fit: Fit) -> Fit:
@@ -190,9 +186,9 @@ def _contradictions(fit: Fit) -> list[tuple[int, str]]:
     for pose in np.unique(seen.pose[(misfit > limit) & (misfit * sigma_px * RAYLEIGH_MEDIAN > HARMLESS_PX)]):
         rows = np.flatnonzero(seen.pose == pose)
         if len(rows) > 2:  # the others outvote it: Huber's loss grows like the distance, and they agree
-            found.append((int(rows[np.argmax(misfit[rows])]), ODD_ONE))
+            found.append((int(rows[np.argmax(misfit[rows])]), CONTRADICTS))
         else:
-            found += [(int(row), PAIR if len(rows) == 2 else SINGLE) for row in rows]
+            found += [(int(row), CONTRADICTS if len(rows) == 2 else SINGLE) for row in rows]
     return sorted(found)
 
 

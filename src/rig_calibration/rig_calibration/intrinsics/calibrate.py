@@ -20,8 +20,8 @@ from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import initial_poses
 from ..bundle.problem import check_problem, shapes_of, views_of
 from ..bundle.robust_fit import Fit, adjusted, settled, start_fit
+from ..bundle.solve import covariance
 from ..bundle.state import camera_with, residuals_px
-from ..bundle.uncertainty import covariance
 from .lens_model import FISHEYE, MODELS, SIMPLE, LensModel, edge_sd_px
 from .result import UNUSED_GOOD, Intrinsics, ViewResult
 

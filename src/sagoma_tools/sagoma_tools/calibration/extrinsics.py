@@ -19,8 +19,15 @@ from rig_calibration.extrinsics.board_frames import LOWEST, FloorAt
 from rig_calibration.extrinsics.calibrate import RigCalibration, TapeMeasure, Target, calibrate_rig
 from rig_calibration.extrinsics.world import WorldChoice
 
-from .outer_corners import read_corners, write_corner_help, write_template
-from .rig_detections import CamerasDetections, Corners, FootageSources, detections_of
+from .rig_detections import (
+    CamerasDetections,
+    Corners,
+    FootageSources,
+    detections_of,
+    read_corners,
+    write_corner_help,
+    write_template,
+)
 from .rig_inputs import RigInputs, read_intrinsics, read_lens_deviations, require_seen
 from .rig_report import print_report, write_outputs
 

@@ -21,7 +21,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -53,8 +52,7 @@ class CameraFootage:
     def is_video(self) -> bool:
         return self.frames is None
 
-    @property
-    def count(self) -> int:
+    def __len__(self) -> int:
         """Images, as far as it is known beforehand (0: unknown)."""
         with closing(self._reader()) as reader:
             return reader.frame_count
@@ -84,24 +82,6 @@ class CameraFootage:
     def _reader(self) -> FootageReader:
         first = self.files[0]
         return FootageReader(Video(first, threads=1) if self.is_video else Stills(first, list(self.files)), "mono")
-
-
-@dataclass(frozen=True, eq=False)
-class Shots:
-    """Some pictures of one running camera, as footage: frame indices count from 0."""
-
-    name: str
-    pictures: tuple[np.ndarray, ...]
-
-    @property
-    def count(self) -> int:
-        return len(self.pictures)
-
-    def __iter__(self) -> Iterator[tuple[int, np.ndarray]]:
-        return iter(enumerate(self.pictures))
-
-
-Footage: TypeAlias = CameraFootage | Shots
 
 
 def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:

@@ -69,7 +69,7 @@ def _collected(footage: CameraFootage, board: Board, model: str) -> ViewCollecto
     Where few views are found, a second pass searches each image longer. Raises InputError when too few images show
     the board, naming the other board that they show, if they do.
     """
-    count, done = footage.count, doing(f"{footage.name}: looking for the board in images")
+    count, done = len(footage), doing(f"{footage.name}: looking for the board in images")
     few = not footage.is_video and count <= FEW_PICTURES
     views = ViewCollector(board, footage.name, model=model, every=few, thorough=few)
     for examined in (MAX_EXAMINED,) if few else (MAX_EXAMINED, MAX_THOROUGH):

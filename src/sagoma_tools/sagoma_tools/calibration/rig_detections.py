@@ -11,20 +11,22 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.files import write_text
+from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
-from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.four_corners import find_from_outer_corners
+from rig_calibration.boards.detector import diagnose_board, find_board, find_from_outer_corners
 from rig_calibration.boards.wand import find_wand
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING
 
 from ..console import doing, until_stopped
-from .footage import CameraFootage, Footage, open_footage_of_cameras
-from .outer_corners import OuterCorners
+from .footage import CameraFootage, open_footage_of_cameras
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
@@ -34,6 +36,23 @@ MAX_BLUR_PX = 2.5
 """Corners of a board that is blurred more (sigma of its edges) are not used; a wand's markers have no blur."""
 
 Picture = np.ndarray
+Footage: TypeAlias = "CameraFootage | Sequence[tuple[int, Picture]]"
+"""Frame indices and pictures of one camera."""
+FORMAT = (
+    "Write NAME: [[x, y], [x, y], [x, y], [x, y]] for each camera, or NAME: {corners: [...], frame: 12}: the outermost "
+    "inner corners of the print in pixels, in reading order (first row's two ends, then the last row's last and first)."
+)
+GRID_STEP_PX, GRID_PICTURE_PX = 50, 1600
+
+
+@dataclass(frozen=True, eq=False)
+class OuterCorners:
+    """The outermost inner corners as a person gave them: (4, 2) px, in one frame or (None) in all of them."""
+
+    pixels: np.ndarray
+    frame: int | None = None
+
+
 Corners = Mapping[str, OuterCorners]
 Cameras = Mapping[str, CameraModel]
 Find = Callable[[Picture, int], TargetDetection | None]
@@ -95,7 +114,7 @@ def find_floor(footage: Mapping[str, Footage], board: Board, corners: Corners) -
         return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
 
     only = {name: given.frame for name, given in corners.items()}
-    steps = {name: max(1, -(-clip.count // FLOOR_FRAMES)) for name, clip in footage.items()}
+    steps = {name: max(1, -(-len(clip) // FLOOR_FRAMES)) for name, clip in footage.items()}
     return _in_all("board on the floor", footage, find, steps, only)
 
 
@@ -181,11 +200,61 @@ def _common_step(clips: Mapping[str, CameraFootage]) -> dict[str, int]:
         said = f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant"
         remedy = "Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4."
         raise InputError(said, where=", ".join(clips[name].where for name in rates), remedy=remedy)
-    return dict.fromkeys(clips, max(1, -(-max((clip.count for clip in clips.values()), default=0) // MOVING_FRAMES)))
+    return dict.fromkeys(clips, max(1, -(-max(map(len, clips.values()), default=0) // MOVING_FRAMES)))
 
 
 def _median_picture(footage: CameraFootage) -> Picture | None:
     """Return the static background: the median of some frames; None of footage with too few."""
-    step = max(1, footage.count // MEDIAN_FRAMES)
+    step = max(1, len(footage) // MEDIAN_FRAMES)
     some = [image for index, (_, image) in enumerate(footage) if index % step == 0]
     return np.median(np.stack(some), axis=0).astype(np.uint8) if len(some) >= MEDIAN_FRAMES else None
+
+
+# --- Outer corners that a person gives.
+
+
+def read_corners(path: str | Path) -> dict[str, OuterCorners]:
+    """Corners by camera, from a YAML file. Raises InputError naming file, camera, value and remedy."""
+    document = read_mapping(Path(path), FORMAT)
+    return {str(name): _corners(entry, f"{path}: {name}") for name, entry in document.items()}
+
+
+def _corners(entry: Any, where: str) -> OuterCorners:
+    frame = None
+    if isinstance(entry, Mapping):
+        unknown = set(entry) - {"corners", "frame"}
+        if unknown or "corners" not in entry:
+            raise InputError(f"has the keys {sorted(map(str, entry))}", where=where, remedy=FORMAT)
+        entry, frame = entry["corners"], entry.get("frame")
+    if frame is not None and (not isinstance(frame, int) or isinstance(frame, bool) or frame < 0):
+        raise InputError(f"frame = {frame!r} is not the number of a frame", where=where, remedy="Count from 0.")
+    try:
+        pixels = np.array(entry, float)
+    except (TypeError, ValueError):
+        pixels = np.empty(0)
+    if pixels.shape != (4, 2) or not np.isfinite(pixels).all():
+        raise InputError(f"{entry!r} is not four [x, y] corners", where=where, remedy=FORMAT)
+    return OuterCorners(pixels, frame)
+
+
+def write_corner_help(folder: Path, name: str, image: np.ndarray) -> Path:
+    """Write NAME_click.png, the picture enlarged under a grid of pixel coordinates; returns its path."""
+    from matplotlib.figure import Figure
+
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(GRID_PICTURE_PX / 100, GRID_PICTURE_PX / 100 * height / width), layout="constrained")
+    axes = figure.add_subplot()
+    axes.imshow(image if image.ndim == 2 else image[..., ::-1], cmap="gray", vmin=0, vmax=255)
+    axes.set(xticks=range(0, width, GRID_STEP_PX), yticks=range(0, height, GRID_STEP_PX))
+    axes.tick_params(labelsize=7, labelrotation=45)
+    axes.grid(color="#ffff00", linewidth=0.5)
+    path = folder / f"{name}_click.png"
+    figure.savefig(path, dpi=100)
+    return path
+
+
+def write_template(path: Path, names: list[str]) -> None:
+    """Write a corners file whose numbers a person replaces."""
+    lines = [f"# {FORMAT}", "# Replace every number; delete the cameras that need none."]
+    lines += [f"{name}: [[0, 0], [1, 0], [1, 1], [0, 1]]" for name in names]
+    write_text(path, "\n".join(lines) + "\n")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 
@@ -30,7 +29,6 @@ from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from ..console import doing, until_stopped
 from ..graph import PATIENCE_S, ROUND_S
 from ..graph.ros_link import settled
-from .footage import Shots
 from .rig_detections import CameraDetections, Cameras, CamerasDetections, Corners, detections_of, find_floor
 
 TOLERANCE_NS = 10_000_000
@@ -55,7 +53,6 @@ class MotionRecorder:
         self._collector: FrameSetCollector[Image] = FrameSetCollector(
             topics, tolerance_ns=TOLERANCE_NS, deadline_ns=DEADLINE_NS
         )
-        self._pool = ThreadPoolExecutor(max(1, len(topics)))
         self._found = {name: CameraDetections(partial(self._find, name)) for name in sorted(topics)}
         self.changed = threading.Event()
         self.error: Exception | None = None
@@ -83,7 +80,6 @@ class MotionRecorder:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._worker.close()
-        self._pool.shutdown()
 
     def _on_image(self, name: str, message: Image) -> None:
         self.received += 1
@@ -93,15 +89,11 @@ class MotionRecorder:
 
     def _process(self, frames: FrameSet[Image]) -> None:
         """Search one frame set, on the worker's thread."""
-        jobs = [self._pool.submit(self._examine, name, message) for name, message in frames.frames.items()]
-        for job in jobs:
-            job.result()
+        for name, message in frames.frames.items():
+            with suppress(InputError):  # one bad picture: the next may be better
+                self._found[name].examine(decode_image(message, self._topics[name]), self.examined)
         self.examined += 1
         self.changed.set()
-
-    def _examine(self, name: str, message: Image) -> None:
-        with suppress(InputError):  # one bad picture: the next may be better
-            self._found[name].examine(decode_image(message, self._topics[name]), self.examined)
 
     def _find(self, name: str, image: np.ndarray, frame_index: int) -> TargetDetection | None:
         return find_board(image, self._board, camera=name, frame_index=frame_index, target=MOVING)
@@ -177,8 +169,8 @@ def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = PATIENCE_S
     )
 
 
-def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, Shots]:
-    """Return the next ``count`` pictures of every camera. Raises InputError for a camera that sends none."""
+def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, list[tuple[int, np.ndarray]]]:
+    """Return the next ``count`` pictures of every camera, numbered. Raises InputError for a camera that sends none."""
     pictures: dict[str, list[np.ndarray]] = {name: [] for name in topics}
     changed = threading.Condition()
 
@@ -200,7 +192,7 @@ def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, Shots]:
     if silent:
         remedy = "Check the camera client: sagoma doctor; or leave it out (--without)."
         raise InputError(f"no picture came from {', '.join(silent)} for {PATIENCE_S:g} s", remedy=remedy)
-    return {name: Shots(name, tuple(taken)) for name, taken in pictures.items()}
+    return {name: list(enumerate(taken)) for name, taken in pictures.items()}
 
 
 def _image_topics(node: Node) -> dict[str, str]:
