@@ -46,11 +46,11 @@ from ..view.page import Page
 from ..view.server import ANY_HOST, PORT, Guard
 
 HOST = "127.0.0.1"
-# verb -> (the state it leads to, whether the cameras go first, help)
+# verb -> (the state it leads to, help)
 VERBS = {
-    "start": (State.ACTIVE, False, "configure and activate every node of the running graph"),
-    "suspend": (State.INACTIVE, True, "deactivate every node of the running graph; start goes on from there"),
-    "stop": (State.UNCONFIGURED, True, "deactivate and clean up every node of the running graph; processes stay"),
+    "start": (State.ACTIVE, "configure and activate every node of the running graph"),
+    "suspend": (State.INACTIVE, "deactivate every node of the running graph; start goes on from there"),
+    "stop": (State.UNCONFIGURED, "deactivate and clean up every node of the running graph; processes stay"),
 }
 
 
@@ -66,13 +66,13 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_text = "leave processes that crash dead (default: start them again)"
     parser.add_argument("--no-restart", dest="restart", action="store_false", help=help_text)
     parser.set_defaults(run=up)
-    for verb, (goal, cameras_first, help_text) in VERBS.items():
+    for verb, (goal, help_text) in VERBS.items():
         parser = subparsers.add_parser(verb, help=help_text)
         parser.add_argument("--expect", type=NODES, default=1, help="wait until so many sagoma nodes are found")
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         add_namespace_argument(parser)
-        parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first)
+        parser.set_defaults(run=change_state, goal=goal)
     _add_view(subparsers)
     parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
     studio.add_arguments(parser)
@@ -173,7 +173,7 @@ def change_state(args: argparse.Namespace) -> int:
         found = find_nodes(lambda: our_nodes(link.node), "nodes of ours", args.expect, args.wait)
         doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
-        outcome = client.bring(found, args.goal, args.cameras_first, args.timeout)
+        outcome = client.bring(found, args.goal, args.timeout)
         states = client.states(found)
     for name in found:
         print(f"{name}: {states[name] or 'did not answer'}")

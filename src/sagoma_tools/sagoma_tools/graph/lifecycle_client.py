@@ -73,12 +73,7 @@ class LifecycleClient:
         return {name: reply and reply.current_state.label for name, reply in replies.items()}
 
     def bring(
-        self,
-        nodes: Collection[str],
-        goal: State,
-        cameras_first: bool = False,
-        timeout_s: float | None = None,
-        contact_s: float = ANSWER_S,
+        self, nodes: Collection[str], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
     ) -> Outcome:
         """Bring every node (full names) to ``goal`` from its present state: cameras last on the way up, or first on the
         way down, and each kind in step.
@@ -88,15 +83,15 @@ class LifecycleClient:
         node may take to report its state, long for a process that has just started. A node that refuses or stays silent
         keeps its state; the others go on.
         """
-        outcome = Outcome()
-        for cameras in (cameras_first, not cameras_first):
-            moving = {}
-            group = [name for name in nodes if is_camera(name) == cameras]
-            for name, label in self.states(group, contact_s).items():
-                if label in STATES:
-                    moving[name] = State(label)
-                else:  # finalized, or in transition
-                    outcome.fail(name, "get_state", label and f"tells of {label}, from where no way leads on")
+        outcome, states = Outcome(), dict[str, State]()
+        for name, label in self.states(nodes, contact_s).items():
+            if label in STATES:
+                states[name] = State(label)
+            else:  # finalized, or in transition
+                outcome.fail(name, "get_state", label and f"tells of {label}, from where no way leads on")
+        down = any(STATES.index(state) > STATES.index(goal) for state in states.values())
+        for cameras in (down, not down):
+            moving = {name: state for name, state in states.items() if is_camera(name) == cameras}
             while moving := {name: state for name, state in moving.items() if state != goal}:
                 ways = {name: (state, next_on_the_way(state, goal)) for name, state in moving.items()}
                 moving = self._change(ways, timeout_s, outcome)

@@ -122,7 +122,7 @@ class Supervisor:
         with self._lock:
             self._halted.set()
         self.stop_outcome = self.suspend()
-        cleaned = self._bring(State.INACTIVE, State.UNCONFIGURED, cameras_first=True, timeout_s=ANSWER_S)
+        cleaned = self._bring(State.INACTIVE, State.UNCONFIGURED, timeout_s=ANSWER_S)
         self.stop_outcome.failures |= cleaned.failures
         self.exit_statuses = self.processes.stop()
         self._link.close()
@@ -150,7 +150,7 @@ class Supervisor:
     def suspend(self) -> Outcome:
         """Deactivate every active node, the cameras first; what dies from now on stays dead."""
         self._running = False
-        return self._bring(State.ACTIVE, State.INACTIVE, cameras_first=True, timeout_s=ANSWER_S)
+        return self._bring(State.ACTIVE, State.INACTIVE, timeout_s=ANSWER_S)
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""

@@ -112,12 +112,12 @@ class Control:
 
     # what can be asked for --------------------------------------------------------------------------------------------
 
-    def bring(self, goal: State, cameras_first: bool = False) -> str:
+    def bring(self, goal: State) -> str:
         """Bring every node to a lifecycle state."""
         names = sorted(our_nodes(self._link.node))
         if not names:
             return "no nodes of ours are in the graph: start them with `sagoma up` or their launch file"
-        outcome = self._lifecycle.bring(names, goal, cameras_first)
+        outcome = self._lifecycle.bring(names, goal)
         return "; ".join(outcome.failures.values()) or f"{len(names)} nodes are {goal}"
 
     def reset(self) -> str:

@@ -209,8 +209,8 @@ def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     nodes = {
         "connect": job("connecting", lambda: control.bring(State.INACTIVE)),
         "start": job("starting", lambda: control.bring(State.ACTIVE)),
-        "suspend": job("suspending", lambda: control.bring(State.INACTIVE, cameras_first=True)),
-        "stop": job("stopping", lambda: control.bring(State.UNCONFIGURED, cameras_first=True)),
+        "suspend": job("suspending", lambda: control.bring(State.INACTIVE)),
+        "stop": job("stopping", lambda: control.bring(State.UNCONFIGURED)),
     }
     add_buttons(gui, "nodes", nodes)
     add_buttons(gui, "persons", {"reset": job("resetting", control.reset)}, hint="forget everybody, and look anew")

@@ -124,23 +124,12 @@ class ViewerCamera(Sent):
     look_at: Vector
     up_direction: Vector
 
-    def fault(self, control_of: ControlOf) -> str:
-        """Say what cannot be used; empty when all can."""
-        numbers = (*self.wxyz, *self.position, self.fov, self.near, self.far, *self.look_at, *self.up_direction)
-        return "" if all(map(math.isfinite, numbers)) else "a view that is not finite"
-
 
 class GuiUpdate(Sent):
     """A control's new value; viser would set any attribute of it that is named."""
 
     uuid: str
     updates: dict[Literal["value"], bool | int | float | str]
-
-    def fault(self, control_of: ControlOf) -> str:
-        """Say what cannot be used; empty when all can, and of a control that is gone, which viser leaves alone."""
-        control = control_of(self.uuid)
-        fits = control is None or all(_fits(value, control) for value in self.updates.values())
-        return "" if fits else "a value that its control cannot have"
 
 
 async def next_message(receive: Callable[[], Awaitable[Any]], control_of: ControlOf, log: logging.Logger) -> bytes:
@@ -161,7 +150,13 @@ def fault_of(data: str | bytes, control_of: ControlOf) -> str:
         message = msgspec.msgpack.decode(data, type=ViewerCamera | GuiUpdate)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         return shortened(str(error)) or repr(error)
-    return message.fault(control_of)
+    if isinstance(message, ViewerCamera):
+        numbers = (*message.wxyz, *message.position, message.fov, message.near, message.far, *message.look_at)
+        finite = all(map(math.isfinite, (*numbers, *message.up_direction)))
+        return "" if finite else "a view that is not finite"
+    control = control_of(message.uuid)  # viser leaves one alone that is gone
+    fits = control is None or all(_fits(value, control) for value in message.updates.values())
+    return "" if fits else "a value that its control cannot have"
 
 
 def _fits(value: object, control: Any) -> bool:
