@@ -32,9 +32,8 @@ BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
 NARROW_DEG, WIDE_DEG = 15.0, 130.0
 HIGH_M, LOW_M = 6.0, 0.3
-FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the same outline, mirrored
+FACING_DEG, CLOSE_DEG, SAME_PLACE_M = 170.0, 12.0, 0.05  # cameras face to face see the same outline, mirrored
 MIN_CAMERAS = 3
-SAME_PLACE_M = 0.05
 POOR_SHARE, LITTLE_SHARE = 0.05, 0.5  # of the places where a person may stand
 
 
