@@ -5,7 +5,7 @@ import socket
 import numpy as np
 import pytest
 from node_probe import FAILURE, NodeProbe
-from osc import osc_messages
+from pythonosc.osc_bundle import OscBundle
 from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
 
 from capture_rig.rigid import rotation_matrix
@@ -172,7 +172,7 @@ def test_an_avatar_takes_the_person_s_posture_and_place_with_all_bones_or_those_
         for pose in (pose_of(), BENT):
             probe.publish(pose)
             probe.until(arrived, "a bundle")
-    at_rest, bent = map(osc_messages, received)
+    at_rest, bent = ([(each.address, each.params) for each in OscBundle(datagram)] for datagram in received)
     assert [address for address, _ in bent].count("/VMC/Ext/Bone/Pos") == len(BONES) + len(RIGID)
     assert ("/VMC/Ext/OK", [1]) in bent
     rest = {values[0]: values[1:] for address, values in at_rest if address.endswith("/Pos")}

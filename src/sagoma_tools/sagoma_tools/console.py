@@ -185,7 +185,7 @@ def describe(parser: argparse.ArgumentParser) -> None:
         leaf.set_defaults(command=name, leaf=leaf)
         leaf.formatter_class = argparse.RawDescriptionHelpFormatter
         examples = "\n".join(["examples:", *(f"  sagoma {example}" for example in known.examples)])
-        statuses = "; ".join(f"{status} {meaning}" for status, meaning in own_statuses(known).items())
+        statuses = "; ".join(f"{status} {meaning}" for status, meaning in {**STATUSES, **known.statuses}.items())
         notes = [textwrap.fill(leaf.epilog, width)] if leaf.epilog else []
         notes += [examples] if known.examples else []
         leaf.epilog = "\n\n".join([*notes, textwrap.fill(f"exit status: {statuses}", width)])
@@ -202,10 +202,3 @@ def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tu
             if child.get_default("run") is not None:
                 yield full, child, texts.get(name, "")
             yield from commands_of(child, full)
-
-
-def own_statuses(known: CommandHelp) -> dict[int, str]:
-    """Return the command's exit statuses without those that are the same for all; Ctrl-C may be its ordinary end."""
-    common = {OK: STATUSES[OK], BAD_INPUT: "input cannot be used"}
-    statuses = dict(sorted({**common, **known.statuses}.items()))
-    return statuses if statuses[OK] == ENDED else {**statuses, INTERRUPTED: "interrupted"}

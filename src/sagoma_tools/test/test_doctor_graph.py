@@ -45,7 +45,7 @@ def graph(changed=(), sent=(), **changes):
     """The healthy graph with some nodes and cameras, or parts of the facts, replaced."""
     all_nodes = {n.name: n for n in (HULL, ICP, EKF, *CLIENTS.values(), *changed)}
     all_cameras = {**SENT, **{c.camera: c for c in sent}}
-    facts = GraphFacts(46, tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG)
+    facts = GraphFacts(46, tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, expected=RIG.names)
     return replace(facts, **changes)
 
 
@@ -131,7 +131,7 @@ def test_what_is_wrong_is_named_where_it_is(facts, subject, severity, code, valu
 def test_nobody_heard_says_where_nodes_are(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setattr("sagoma_tools.doctor.graph.domains_here", lambda: (7, 46))
-    finding = next(iter(graph_findings(GraphFacts(46, rig=RIG))))
+    finding = next(iter(graph_findings(GraphFacts(46, expected=RIG.names))))
     assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
     assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
 
@@ -189,7 +189,7 @@ def test_real_nodes_are_heard_with_state_silhouettes_and_clock_and_what_is_wrong
     canvas = RIG.camera("cam01").undistorted_view().camera  # of which 80 x 300 pixels are somebody
     assert well.share == pytest.approx(80 * 300 / (canvas.width * canvas.height))
     assert (blank.share, absent.masks) == (0.0, 0)
-    found = {(finding.subject, finding.code) for finding in graph_findings(replace(heard, rig=RIG))}
+    found = {(finding.subject, finding.code) for finding in graph_findings(heard)}
     assert found >= {("camera cam01", "clock.ok"), ("camera cam01", "silhouettes.ok"), ("camera cam03", "node.missing")}
     assert found >= {("camera cam02", code) for code in ("clock.off", "stamps.ahead", "silhouettes.blank")}
 

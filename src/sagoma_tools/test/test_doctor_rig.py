@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from capture_rig.camera_info_file import save_camera_info
 from capture_rig.rig import Rig, Volume, load_rig, save_rig
 from sagoma_tools.cli import main
 from sagoma_tools.doctor.rig import RigView, check_place
@@ -116,27 +115,20 @@ def test_shares_of_the_volume_agree_with_counting_by_hand():
     for camera, sees in zip(GOOD.cameras, view.sees, strict=True):
         inside = [0 <= u < camera.width and 0 <= v < camera.height for u, v in camera.project([foot, head])]
         assert all(inside) and sees.mean() > 0.9
-    assert view.seen_by(3) == 1.0 and view.seen_by(5) < 1.0
+    assert (view.sees.sum(axis=0) >= 3).all() and not (view.sees.sum(axis=0) >= 5).all()
     # 3.25 m from (0, 0, 0.95), where a pixel of 468 px focal length is 6.9 mm
     *_, seen = check_place(view, C1)
     assert "3.2 m from the volume's centre, 6.9 mm a pixel" in seen.what
 
 
-def test_reports_are_read_with_verdict_findings_and_age(examined, tmp_path):
-    (tmp_path / "intrinsics").mkdir()
-    findings = [{"grade": "redo", "what": "no tilt", "remedy": "tilt the board"}]
-    of_lens = {"verdict": "redo", "findings": findings}
-    (tmp_path / "rig.report.yaml").write_text("verdict: good")
-    os.utime(tmp_path / "rig.report.yaml", (time.time() - 400 * 86400,) * 2)
-    (tmp_path / "intrinsics" / "cam01.report.yaml").write_text(yaml.safe_dump(of_lens))
-    save_camera_info(tmp_path / "intrinsics" / "cam01.yaml", replace(C1, K=K_of(C1, fx=C1.K[0, 0] + 5)))
+def test_report_is_read_with_verdict_findings_and_age(examined, tmp_path):
+    path, findings = tmp_path / "rig.report.yaml", [{"grade": "redo", "what": "no tilt", "remedy": "tilt the board"}]
+    path.write_text(yaml.safe_dump({"verdict": "redo", "findings": findings}))
+    os.utime(path, (time.time() - 400 * 86400,) * 2)
     status, found = examined(GOOD)
-    assert status == 2
-    assert any(code == "age.old" and "400 days" in what for _, code, what in found["rig"])
-    text = {code: what for _, code, what in found["camera cam01"]}
-    assert "no tilt (tilt the board)" in text["calibration.redo"]
-    assert f"fx {C1.K[0, 0] + 5:.1f}" in (said := text["intrinsics.differ"]) and f"rig fx {C1.K[0, 0]:.1f}" in said
-    (tmp_path / "rig.report.yaml").write_text("[1, 2")
+    text = {code: what for _, code, what in found["rig"]}
+    assert status == 2 and "no tilt (tilt the board)" in text["calibration.redo"] and "400 days" in text["age.old"]
+    path.write_text("[1, 2")
     assert "rig_report.unusable" in [code for _, code, _ in examined(GOOD)[1]["rig"]]
 
 

@@ -39,8 +39,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
     help_regions = "write the rig file of the parts of the pictures that the volume needs, which the report lists"
     option("--regions", metavar="FILE.yaml", type=Path, help=help_regions)
-    help_lenses = "the cameras' own calibrations (default: beside the rig file)"
-    option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
     option("--live", action="store_true", help="listen to the running graph")
     add_namespace_argument(parser)
     option("--seconds", type=number("s", 0.1, 3600), default=ANSWER_S, help="how long to listen (default: %(default)g)")
@@ -90,6 +88,6 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
         yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
     if args.rig is not None:
-        yield from about("rig", examine_rig(args.rig, args.intrinsics))
+        yield from about("rig", examine_rig(args.rig))
     if args.live:
         yield from about("graph", examine_graph(args.seconds, args.rig, namespace=namespace_argument(args)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +35,7 @@ EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
 LATE_PERIODS, LATE_MS = 5, 200.0
 MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
 USUAL_PERIOD_S = 1 / 30
-NOTHING = 1e-5
-OLD_S, EARLY_S = 1.0, 5e-3
+OLD_S, EARLY_S, NOTHING = 1.0, 5e-3, 1e-5
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
 RECOVERY = "docs/tracking.md"
 PAGES = {HULL: "docs/faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
@@ -50,9 +48,8 @@ BIG_MESSAGES = (
 
 def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
     """Examine the graph of this ROS domain and a namespace, against the rig file if given."""
-    rig = None if rig_file is None else load_rig(rig_file)
-    facts = collect_graph(seconds, rig.names if rig else (), namespace=namespace)
-    yield from graph_findings(replace(facts, rig=rig))
+    expected = () if rig_file is None else load_rig(rig_file).names
+    yield from graph_findings(collect_graph(seconds, expected, namespace=namespace))
 
 
 def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
@@ -62,7 +59,7 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
         if not node.camera:
             yield from about(node.name.strip("/"), *_of_node(node, facts))
     sent = {camera.camera: camera for camera in facts.cameras}
-    for name in sorted({*(facts.rig.names if facts.rig else ()), *sent, *(node.camera for node in facts.nodes)} - {""}):
+    for name in sorted({*facts.expected, *sent, *(node.camera for node in facts.nodes)} - {""}):
         subject, client = f"camera {name}", facts.client(name)
         yield from about(subject, check_presence(name, facts))
         if client is not None:
@@ -94,7 +91,8 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
         remedy = "sagoma up --rig RIG on the server, once the cameras are calibrated; the same ROS_DOMAIN_ID on all "
         remedy += "machines, and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several."
         yield error("nodes.server_missing", f"not heard in {where}: {', '.join(absent)}", remedy)
-    if unknown := [camera.camera for camera in facts.cameras if facts.rig and camera.camera not in facts.rig.names]:
+    unknown = [camera.camera for camera in facts.cameras if camera.camera not in facts.expected]
+    if facts.expected and unknown:
         text = f"{', '.join(unknown)} publish silhouettes, but are not in the rig file"
         yield warning("cameras.not_in_rig", text, "Calibrate them into the rig, or stop them.")
 
@@ -198,7 +196,7 @@ def check_background(node: NodeFacts) -> Iterator[Finding]:
 
 def check_presence(camera: str, facts: GraphFacts) -> Iterator[Finding]:
     """Whether a camera of the rig has its client, and how often the camera was missing from the frame sets."""
-    if facts.nodes and facts.rig is not None and camera in facts.rig.names and facts.client(camera) is None:
+    if facts.nodes and camera in facts.expected and facts.client(camera) is None:
         remedy = "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
         remedy += f"--only {camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range."
         yield error("node.missing", "its client is not heard: it does not run, or its machine vanished", remedy)

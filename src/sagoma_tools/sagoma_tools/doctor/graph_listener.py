@@ -17,7 +17,6 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
-from capture_rig.rig import Rig
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns, values_of
@@ -84,7 +83,7 @@ class SilhouetteFacts:
 class GraphFacts:
     """The running graph as heard from here.
 
-    sets : diagnostics of the hull server's frame sets. rig : the one that is expected.
+    sets : diagnostics of the hull server's frame sets. expected : the cameras of the rig file, where one is given.
     """
 
     domain: int
@@ -93,7 +92,7 @@ class GraphFacts:
     sets: tuple[Mapping[str, str], ...] = ()
     sets_hz: float = 0.0
     simulated_time: bool = False
-    rig: Rig | None = None
+    expected: tuple[str, ...] = ()
 
     def node(self, name: str) -> NodeFacts | None:
         """Return the node with this fully qualified name."""
@@ -159,6 +158,7 @@ def collect_graph(
             tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
+            tuple(expected),
         )
 
 

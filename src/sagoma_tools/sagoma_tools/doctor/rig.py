@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.camera_info_file import load_camera_info
 from capture_rig.lens import is_fisheye
 from capture_rig.rig import Rig, load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
@@ -27,17 +26,14 @@ from .findings import Finding, about, error, graded, note, warning
 Array = npt.NDArray[np.float64]
 
 SUBJECT, SUFFIX = "rig", ".report.yaml"  # of the report that sagoma calibrate writes beside its result
-ENTRIES = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}  # of a camera matrix
-LENS_FOLDERS = (".", "intrinsics", "calibration/intrinsics", "../intrinsics")  # beside the rig file
 CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate intrinsics"
 STEP_M, BREAST_M = 0.2, 1.0
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
 NARROW_DEG, WIDE_DEG = 15.0, 130.0
 HIGH_M, LOW_M = 6.0, 0.3
-FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the same outline, mirrored
+FACING_DEG, CLOSE_DEG, SAME_PLACE_M = 170.0, 12.0, 0.05  # cameras face to face see the same outline, mirrored
 MIN_CAMERAS = 3
-SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
 POOR_SHARE, LITTLE_SHARE = 0.05, 0.5  # of the places where a person may stand
 
 
@@ -46,69 +42,48 @@ class RigView:
     """A rig, the file it is from, and what its cameras see.
 
     sees (cameras, places) : whether a camera sees a person from soles to head at a standing place of the volume.
-    middle (3,) : the volume's centre at breast height, m. lenses : folders with the cameras' own calibrations.
+    middle (3,) : the volume's centre at breast height, m.
     """
 
     rig: Rig
     path: Path
-    lenses: tuple[Path, ...]
     sees: npt.NDArray[np.bool_]
     middle: Array
 
     @classmethod
-    def of(cls, rig: Rig, path: Path, intrinsics: Path | None = None) -> RigView:
+    def of(cls, rig: Rig, path: Path) -> RigView:
         """Look at the volume's standing places through every camera."""
         low, high = rig.volume.low, rig.volume.high
         x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
         places = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1).reshape(-1, len(BODY_LEVELS_M), 3)
         sees = np.array([_sees(camera, places) for camera in rig.cameras])
-        lenses = (intrinsics,) if intrinsics is not None else tuple(path.parent / name for name in LENS_FOLDERS)
-        return cls(rig, path, lenses, sees, np.array([*(low + high)[:2] / 2, BREAST_M]))
-
-    def seen_by(self, count: int) -> float:
-        """Return the share of the standing places that at least so many cameras see."""
-        return float((self.sees.sum(axis=0) >= count).mean())
-
-    def lens_report(self, camera: str) -> Path | None:
-        """Return the report of the camera's own calibration; None when there is none."""
-        paths = (folder / f"{camera}{SUFFIX}" for folder in self.lenses)
-        return next((path for path in paths if path.is_file()), None)
+        return cls(rig, path, sees, np.array([*(low + high)[:2] / 2, BREAST_M]))
 
 
-def examine_rig(path: Path, intrinsics: Path | None) -> Iterator[Finding]:
-    """Examine the rig file at ``path``; ``intrinsics`` : the folder of the lenses, where they are not beside it."""
-    rig = load_rig(path)
-    view = RigView.of(rig, path, intrinsics)
+def examine_rig(path: Path) -> Iterator[Finding]:
+    """Examine the rig file at ``path``."""
+    view = RigView.of(load_rig(path), path)
     yield from about(SUBJECT, check_rig_report(view), check_coverage(view), check_regions(view), check_pairs(view))
-    for camera in rig.cameras:
-        checks = check_lens_report(view, camera), check_lens(camera), check_place(view, camera)
-        yield from about(f"camera {camera.name}", *checks)
+    for camera in view.rig.cameras:
+        yield from about(f"camera {camera.name}", check_lens(camera), check_place(view, camera))
 
 
 def check_rig_report(view: RigView) -> Iterator[Finding]:
-    """The rig's calibration report, and the cameras' own."""
-    report = view.path.with_name(view.path.stem + SUFFIX)
-    if report.is_file():
-        yield from check_report(report, CALIBRATE)
-    else:
+    """The verdict, the findings and the age of the report that the calibration left beside the rig file."""
+    path = view.path.with_name(view.path.stem + SUFFIX)
+    if not path.is_file():
         yield note("report.missing", "there is none: nothing is known of the calibration's accuracy", CALIBRATE)
-    if bare := [name for name in view.rig.names if view.lens_report(name) is None]:
-        remedy = f"{CALIBRATE_LENS}, or say with --intrinsics where they are."
-        yield note("reports.no_lens", f"there is none of the lens of {', '.join(bare)}", remedy)
-
-
-def check_report(path: Path, again: str) -> Iterator[Finding]:
-    """The verdict, the findings and the age of the report that a calibration left."""
-    report = read_mapping(path, f"{again}.")
+        return
+    report = read_mapping(path, f"{CALIBRATE}.")
     grade, listed = report.get("verdict"), report.get("findings")
     reasons = [f"{why['what']} ({why['remedy']})" for why in listed] if isinstance(listed, list) else []
     text = f"{path}: {'; '.join([str(grade), *reasons])}"
-    remedy = f"{again}, after what the report says"
+    remedy = f"{CALIBRATE}, after what the report says"
     later = (grade == USABLE, warning, "usable", f"{remedy}, when there is time")
-    none = (grade != GOOD, note, "no_verdict", again)
+    none = (grade != GOOD, note, "no_verdict", CALIBRATE)
     yield graded("calibration", text, (grade == REDO, error, "redo", remedy), later, none)
     age_s = time.time() - path.stat().st_mtime
-    remedy = f"Stands and lenses creep: {again}."
+    remedy = f"Stands and lenses creep: {CALIBRATE}."
     yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
 
 
@@ -120,7 +95,7 @@ def check_coverage(view: RigView) -> Iterator[Finding]:
     cases = (number < MIN_CAMERAS, error, "too_few", few), (number == MIN_CAMERAS, note, "three", three)
     yield graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
     enough = min(MIN_CAMERAS, number)
-    share = view.seen_by(enough)
+    share = float((view.sees.sum(axis=0) >= enough).mean())
     text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
     remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
     poor, little = (share < POOR_SHARE, error, "unseen", remedy), (share < LITTLE_SHARE, note, "little_seen", remedy)
@@ -172,21 +147,6 @@ def check_pairs(view: RigView) -> Iterator[Finding]:
         elif angle < CLOSE_DEG:
             text = f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline"
             yield warning("cameras.parallel", text, "Spread the cameras around the volume.")
-
-
-def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
-    """The report of the camera's own calibration, and whether the rig has its intrinsics."""
-    report = view.lens_report(camera.name)
-    if report is None:  # check_rig_report names these cameras
-        return
-    yield from check_report(report, CALIBRATE_LENS)
-    path = report.with_name(f"{camera.name}.yaml")
-    own = load_camera_info(path, camera).K if path.is_file() else camera.K
-    if np.abs(own - camera.K).max() > SAME_LENS_PX:
-        mine, its = (", ".join(f"{k} {K[at]:.1f}" for k, at in ENTRIES.items()) for K in (own, camera.K))
-        remedy = f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
-        remedy += "else remove the old camera_info."
-        yield warning("intrinsics.differ", f"{path} differs from the rig file: {mine}, in the rig {its}", remedy)
 
 
 def check_lens(camera: CameraModel) -> Iterator[Finding]:
