@@ -134,8 +134,8 @@ def truth(cameras: Mapping[str, CameraModel], reference: str = "floor") -> dict[
 
 def seen_from(solution: RigSolution, camera: str) -> dict[str, np.ndarray]:
     """T_camera_reference with one camera as the reference."""
-    T = np.linalg.inv(solution.T_camera_reference[camera])
-    return {name: T_camera @ T for name, T_camera in solution.T_camera_reference.items()}
+    T = np.linalg.inv(solution.cameras[camera].T_camera_world)
+    return {name: found.T_camera_world @ T for name, found in solution.cameras.items()}
 
 
 def errors(
@@ -144,7 +144,8 @@ def errors(
     """(6,) by camera: rotation vector (rad, camera frame), centre (m, reference frame), found minus true; the reference
     is that of the solution, or a ``camera``."""
     found = {}
-    for name, T in (seen_from(solution, camera) if camera else solution.T_camera_reference).items():
+    placed = {name: found.T_camera_world for name, found in solution.cameras.items()}
+    for name, T in (seen_from(solution, camera) if camera else placed).items():
         true = T_camera_reference[name]
         centre = -T[:3, :3].T @ T[:3, 3] + true[:3, :3].T @ true[:3, 3]
         found[name] = np.concatenate([cv2.Rodrigues(T[:3, :3] @ true[:3, :3].T)[0].ravel(), centre])

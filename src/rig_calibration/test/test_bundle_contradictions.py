@@ -110,7 +110,7 @@ def test_hidden_half_turns_are_settled_by_what_cameras_agree_on():
     found = solve_rig(CAMERAS, mixed, studio.TARGETS, reference=studio.ON_FLOOR, alike={"moving"})
     assert found.undecided == () and found.left_out == ()
     for name in CAMERAS:
-        np.testing.assert_allclose(found.T_camera_reference[name], expected.T_camera_reference[name], atol=1e-7)
+        np.testing.assert_allclose(found.cameras[name].T_camera_world, expected.cameras[name].T_camera_world, atol=1e-7)
 
 
 # --- what is said of the footage --------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ def test_uncertain_lenses_enlarge_the_covariance():
     for name in CAMERAS:
         more = doubted.covariance[name] - exact.covariance[name]
         assert np.linalg.eigvalsh(more).min() > -1e-12 and np.trace(more) > np.trace(exact.covariance[name])
-        np.testing.assert_array_equal(doubted.T_camera_reference[name], exact.T_camera_reference[name])
+        np.testing.assert_array_equal(doubted.cameras[name].T_camera_world, exact.cameras[name].T_camera_world)
 
 
 def test_delays_of_a_moving_board_are_noticed_and_cost_little():

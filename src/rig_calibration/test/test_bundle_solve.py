@@ -42,9 +42,9 @@ def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
     detections = studio.carried_and_floor(cameras, np.random.default_rng(1), 100)
     other = solve_rig(cameras, detections, studio.TARGETS)
     (root,) = [name for name, covariance in other.covariance.items() if not covariance.any()]
-    np.testing.assert_allclose(other.T_camera_reference[root], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(other.cameras[root].T_camera_world, np.eye(4), atol=1e-12)
     for name, T in studio.seen_from(noisy, root).items():
-        np.testing.assert_allclose(other.T_camera_reference[name], T, atol=1e-9)
+        np.testing.assert_allclose(other.cameras[name].T_camera_world, T, atol=1e-9)
     for a, b in zip(noisy.residuals_px, other.residuals_px, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-7)
 
@@ -61,7 +61,8 @@ def test_same_bytes_in_whatever_order_the_input_comes():
         dict(reversed(studio.TARGETS.items())),
         intrinsics_sd=dict(reversed(covariance.items())),
     )
-    for a, b in ((first.T_camera_reference, second.T_camera_reference), (first.covariance, second.covariance)):
+    placed = ({name: camera.T_camera_world for name, camera in of.cameras.items()} for of in (first, second))
+    for a, b in (placed, (first.covariance, second.covariance)):
         assert list(a) == list(b) == sorted(cameras)
         assert all(a[name].tobytes() == b[name].tobytes() for name in a)
 
@@ -89,15 +90,14 @@ def test_minimum_is_that_of_scipy_least_squares():
     def vector(T: np.ndarray) -> np.ndarray:
         return np.concatenate([cv2.Rodrigues(T[:3, :3])[0].ravel(), T[:3, 3]])
 
-    x = np.concatenate(
-        [vector(solution.T_camera_reference[n]) for n in names] + [vector(solution.T_reference_target[k]) for k in keys]
-    )
+    placed = [solution.cameras[n].T_camera_world for n in names] + [solution.T_reference_target[k] for k in keys]
+    x = np.concatenate([vector(T) for T in placed])
     found = least_squares(residuals, x + 1e-3, loss="linear", x_scale="jac")
     assert len(solution.detections) == len(detections)
     assert 2 * found.cost == pytest.approx(float(np.sum(residuals(x) ** 2)), rel=1e-3)
     for row, name in enumerate(names):
         w = found.x[6 * row : 6 * row + 6]
-        R, T = cv2.Rodrigues(w[:3])[0], solution.T_camera_reference[name]
+        R, T = cv2.Rodrigues(w[:3])[0], solution.cameras[name].T_camera_world
         assert np.linalg.norm(-R.T @ w[3:] + T[:3, :3].T @ T[:3, 3]) < 5e-4  # Huber's loss moves it a little
 
 

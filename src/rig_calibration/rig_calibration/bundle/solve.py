@@ -27,7 +27,7 @@ class RigSolution:
     """The poses of all cameras and targets, in the frame of the reference, and how good they are.
 
     cameras : the cameras, with these poses as their ``T_camera_world`` (and refined lenses, if asked for).
-    T_camera_reference : (4, 4) by camera. T_reference_target : (4, 4) by (target, frame).
+    T_reference_target : (4, 4) by (target, frame).
     detections, residuals_px : what was used, ids as they proved right, and seen minus predicted pixels (n, 2) of each.
     rms_px : by camera, root mean square distance of its corners (sqrt(2) times the noise of one coordinate, as OpenCV
     reports it).
@@ -45,7 +45,6 @@ class RigSolution:
     """
 
     cameras: dict[str, CameraModel]
-    T_camera_reference: dict[str, Array]
     T_reference_target: dict[PoseKey, Array]
     detections: tuple[TargetDetection, ...]
     residuals_px: tuple[Array, ...]
@@ -160,8 +159,7 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
     """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
     problem, state, used, layout = fit.problem, fit.state, fit.used, fit.state.layout
     names = list(problem.cameras)
-    t_camera = -(state.R_camera @ state.centre[..., None])[..., 0]
-    T_camera = dict(zip(names, transform(state.R_camera, t_camera), strict=True))
+    T_camera = transform(state.R_camera, -(state.R_camera @ state.centre[..., None])[..., 0])
     T_target = {
         key: transform(state.R_pose[row], _target_origin(problem, state, row))
         for row, key in enumerate(problem.keys)
@@ -171,10 +169,9 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
     squares = np.where(used.weight > 0, (residuals**2).sum(axis=2), np.nan)
     rms_px = [float(np.sqrt(np.nanmean(squares[used.camera == row]))) for row in range(len(names))]
     found = covariance(fit, _free(fit, reference))
-    lenses = zip(names, state.lens, strict=True)
+    posed = zip(names, state.lens, T_camera, strict=True)
     return RigSolution(
-        cameras={name: camera_with(problem.cameras[name], lens, T_camera[name]) for name, lens in lenses},
-        T_camera_reference=T_camera,
+        cameras={name: camera_with(problem.cameras[name], lens, T) for name, lens, T in posed},
         T_reference_target=T_target,
         detections=fit.detections,
         residuals_px=tuple(r[: len(s)] for r, s in zip(residuals, fit.detections, strict=True)),

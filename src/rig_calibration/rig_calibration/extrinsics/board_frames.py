@@ -16,7 +16,6 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
-from capture_rig.rigid import inverse
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import common_frames, groups_of
@@ -71,7 +70,7 @@ def frames_on_floor(
     alike = () if board.half_turn_is_visible else (target,)
     solution = solve_rig(cameras, some, {target: board.corners_board}, alike=alike)
     poses = {frame_index: T for (_, frame_index), T in solution.T_reference_target.items()}
-    centres = [inverse(T)[:3, 3] for T in solution.T_camera_reference.values()]
+    centres = [camera.centre_world for camera in solution.cameras.values()]
     lying = lying_frames(poses, board.corners_board, centres)
     return max((resting_around(moving, frame_index) for frame_index in lying[::-1]), key=len)
 

@@ -145,13 +145,14 @@ def calibrate_rig(
     )
     # z up, the origin on the floor (thesis 6.1)
     if floor is None or floor.T_world_target is None:
-        T_world_reference, on_floor = world_of_level_camera(solution.T_camera_reference[min(cameras)]), None
+        T_world_reference, on_floor = world_of_level_camera(solution.cameras[min(cameras)].T_camera_world), None
     else:
         T_world_reference = floor.T_world_target @ inverse(solution.T_reference_target[FLOOR_POSE])
         on_floor = floor.points @ floor.T_world_target[:3, :3].T + floor.T_world_target[:3, 3]
-    placed = solution.T_camera_reference.items()
+    T_reference_world = inverse(T_world_reference)
     cameras_world = tuple(
-        replace(solution.cameras[name], T_camera_world=T @ inverse(T_world_reference)) for name, T in sorted(placed)
+        replace(camera, T_camera_world=camera.T_camera_world @ T_reference_world)
+        for _, camera in sorted(solution.cameras.items())
     )
     common = common_volume(cameras_world)
     rig, measured = Rig(cameras_world, common.box), tuple(tape)
