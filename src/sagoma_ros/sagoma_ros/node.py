@@ -29,6 +29,7 @@ from .middleware import resolve_packages
 T = TypeVar("T")
 
 RCLError = rclpy_implementation.RCLError
+TAKES_EFFECT = "takes effect at the next configure: deactivate, cleanup, configure and activate the node"
 FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made, possibly later than we look
 
 
@@ -54,6 +55,7 @@ class SagomaNode(LifecycleNode):
     Settings: ClassVar[type]
 
     def __init__(self, name: str, **options: Any) -> None:
+        self._in_use = False  # configured with the settings
         super().__init__(name, **options)
         declare_parameters(self, self.Settings)
         declare_parameters(self, CommonSettings)
@@ -85,6 +87,7 @@ class SagomaNode(LifecycleNode):
             self.configure()
 
         result = self._attempt(configure, "configured, inactive")
+        self._in_use = result == TransitionCallbackReturn.SUCCESS
         if result != TransitionCallbackReturn.SUCCESS:
             self._attempt(self.cleanup, None)
         return result
@@ -106,6 +109,7 @@ class SagomaNode(LifecycleNode):
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._in_use = False
         return self._attempt(self.cleanup, "unconfigured")
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -113,6 +117,16 @@ class SagomaNode(LifecycleNode):
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._attempt(self.cleanup, None)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters as every node does; while it is configured, the result says when a change takes effect."""
+        result = super().set_parameters_atomically(parameter_list)
+        settings = {leaf.key for leaf in (*leaves(self.Settings), *leaves(CommonSettings))}
+        changed = ", ".join(parameter.name for parameter in parameter_list if parameter.name in settings)
+        if result.successful and changed and self._in_use:
+            result.reason = TAKES_EFFECT
+            self.get_logger().info(f"{changed}: {TAKES_EFFECT}")
+        return result
 
     def close(self) -> None:
         """Release everything before the process ends, in whatever state the node is."""

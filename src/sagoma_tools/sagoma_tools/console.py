@@ -43,13 +43,15 @@ class CommandConsole(Console):
         super().print(*objects, **options)
 
 
-def plain_table(title: str, left: Sequence[str], right: Sequence[str]) -> Table:
-    """Return a table without lines: columns of words, columns of numbers."""
+def plain_table(title: str, left: Sequence[str], right: Sequence[str], texts: Sequence[str] = ()) -> Table:
+    """Return a table without lines: columns of words, columns of numbers, columns of sentences."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
     for name in left:
         table.add_column(name, no_wrap=True)
     for name in right:
         table.add_column(name, justify="right", no_wrap=True)
+    for name in texts:
+        table.add_column(name)
     return table
 
 

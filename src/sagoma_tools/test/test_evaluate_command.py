@@ -214,7 +214,7 @@ def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
 
 def test_every_row_adds_exactly_one_part():
     for (before, after), without in zip(pairwise(ablation_rows({}).values()), PARTS.values(), strict=True):
-        switched = {key.replace("icp_tracker.", "icp.").replace("ekf_tracker.", "ekf.") for key in without}
+        switched = {key.replace("icp_tracker.", "icp.").replace("ekf_tracker.filter.", "ekf.") for key in without}
         assert differing(before, after) == switched
 
 

@@ -106,10 +106,8 @@ VOXEL_M = 0.02
 
 
 def times_ms(clip: Clip) -> dict[str, float]:
-    """Median CPU time of fit and filter, ms, with the defaults and as many voxels as asked for."""
+    """Median CPU time of fit and filter, ms, with the defaults."""
     method, body = chain(), VolumetricBody(clip.body)
-    volume = replace(method.icp.articulated.volume, samples=VOXELS)
-    method = replace(method, icp=replace(method.icp, articulated=replace(method.icp.articulated, volume=volume)))
     points = clouds(clip, 3, TIMED_POINTS)
     voxels = [surface_voxels(body.place(pose), np.random.default_rng(k)) for k, pose in enumerate(clip.poses)]
     run = track(method, clip, points, clip.sigma_m, voxels)

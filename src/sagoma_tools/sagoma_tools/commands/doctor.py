@@ -33,6 +33,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_text = "examine this machine, a rig, a camera PC, the running graph: findings with remedies"
     parser = subparsers.add_parser("doctor", help=help_text, description=DESCRIPTION)
     option = parser.add_argument
+    option("what", nargs="?", choices=["camera"], help="'camera PARAMS.yaml' is --camera PARAMS.yaml")
+    option("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
     help_camera = "a camera's parameter file (any number of times)"
     option("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path, help=help_camera)
     option("--open", action="store_true", help="take control of those cameras for a moment, as their clients would")
@@ -53,6 +55,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Examine and print; the exit status is the gravest finding's."""
+    if args.what and args.parameters is None:
+        raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if args.answer:
         return answer()
     if args.regions is not None:
@@ -84,7 +88,7 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
     if not args.no_machine:
         yield from examine_machine()
-    for path in args.camera:
+    for path in [*args.camera, *filter(None, [args.parameters])]:
         yield from about(f"camera file {path}", examine_camera(path, args.open))
     yield from examine_hosts(args.host)
     if args.rig is not None:

@@ -166,7 +166,9 @@ def print_report(report: LockstepReport) -> int:
     print(f"replayed {report.sets} frame sets in lockstep, {len(report.unanswered_ns)} not answered")
     for stamp_ns in report.unanswered_ns[:10]:
         print(f"  no answer to the set of {stamp_ns} ns")
-    return 1 if report.unanswered_ns else 0
+    for topic, count in report.unrecorded.items():
+        print(f"  {topic}: {count} messages are missing in the recording")
+    return 1 if report.unanswered_ns or report.unrecorded else 0
 
 
 def compare(args: argparse.Namespace) -> int:

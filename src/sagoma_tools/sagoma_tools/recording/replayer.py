@@ -161,10 +161,12 @@ def play_timed(
 
 @dataclass
 class LockstepReport:
-    """The result of a lockstep replay: frame sets published, and the stamps of those that the EKF never answered."""
+    """The result of a lockstep replay: frame sets published, the stamps of those that the EKF never answered, and how
+    many messages of topics with one a set are missing in the recording."""
 
     sets: int = 0
     unanswered_ns: list[int] = field(default_factory=list)
+    unrecorded: dict[str, int] = field(default_factory=dict)
 
 
 class Answers:
@@ -225,6 +227,14 @@ def play_lockstep(
 
 
 TOLERANCE = "hull_server.tolerance_s"
+PER_SET = (
+    "/hull/contour_rays",
+    "/hull/centerline",
+    "/hull/voxels",
+    "/icp/reference_points",
+    "/icp/fit",
+    PREDICTION_TOPIC,
+)
 # topic -> the node that must listen to it before the first set is sent, where each has a process of its own
 LISTENERS = {"/hull/products": "icp_tracker", "/icp/people": "ekf_tracker", PREDICTION_TOPIC: "icp_tracker"}
 
@@ -266,6 +276,7 @@ def replay_through_graph(
             cameras = load_rig(rig_file).names
             report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
             recorder.wait_until_quiet(ROUND_S, PATIENCE_S)
+            report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.counts[t]) != 0}
     return report
 
 
