@@ -77,6 +77,14 @@ class BodyEstimate:
         """(10,) standard deviations of the sizes, metres."""
         return np.sqrt(np.diag(self.covariance))
 
+    def updated(self, row: np.ndarray, value: float, sd: float) -> BodyEstimate:
+        """Return the estimate after observing row @ sizes = value, metres; Joseph form, which stays symmetric."""
+        P = self.covariance
+        gain = P @ row / (row @ P @ row + sd**2)
+        rest = np.eye(len(row)) - np.outer(gain, row)
+        covariance = rest @ P @ rest.T + sd**2 * np.outer(gain, gain)
+        return BodyEstimate(self.sizes + gain * (value - row @ self.sizes), covariance)
+
 
 def prior_sizes(stature_m: float) -> BodyEstimate:
     """Return a person of whom only the stature is known."""
@@ -87,10 +95,7 @@ def sizes_of_stature(stature_m: float, sd_m: float) -> BodyEstimate:
     """Return a person whose stature was seen, to ``sd_m``: proportions spread as people's do, their sum is known."""
     wide = np.hypot(sd_m, STATURE_SPREAD_M)
     prior = prior_sizes(stature_m)
-    P = prior.covariance + np.outer(MEAN_OVER_STATURE, MEAN_OVER_STATURE) * wide**2
+    common = np.outer(MEAN_OVER_STATURE, MEAN_OVER_STATURE) * wide**2
     row = np.zeros(len(SIZES))
     row[[HEAD_, TORSO_, THIGH, CALF, ANKLE]] = 1.0
-    gain = P @ row / (row @ P @ row + sd_m**2)
-    rest = np.eye(len(row)) - np.outer(gain, row)  # Joseph form, which stays symmetric
-    covariance = rest @ P @ rest.T + sd_m**2 * np.outer(gain, gain)
-    return BodyEstimate(prior.sizes + gain * (stature_m - row @ prior.sizes), covariance)
+    return BodyEstimate(prior.sizes, prior.covariance + common).updated(row, stature_m, sd_m)

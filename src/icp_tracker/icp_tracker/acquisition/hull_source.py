@@ -4,11 +4,11 @@ A body of average proportions, as tall as the hull, is fitted from natural postu
 them; where it explains too little, a stouter or a slimmer one takes its place if that explains more. The best fits are
 followed from set to set, through gaps; each costs what outlines, by their certainty, hull and joint limits say against
 it (``monitor/evidence.py``). What a single hull leaves open, front or back above all, time decides: knees and elbows
-bend one way, and toes lie ahead of the ankles.
+bend one way, toes lie ahead of the ankles, and whoever walks walks forwards.
 
 Whoever holds a T-pose, arms and legs within some degrees of one, is followed after a few sets, anybody else after a
-second. Lengths start as people's proportions with their spread (``body_sizes``); they are learnt while the person moves
-(``refinement/``).
+second. Lengths start as people's proportions with their spread (``body_sizes``), which the outlines of a T-pose narrow
+at once; they are learnt while the person moves (``refinement/``).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mocap_packets.fit import GONE_AFTER_S
 from mocap_packets.hull import HullProducts
 from stick_figure.body import TYPICAL_STATURE_M, Body
 from stick_figure.body_surface import build_of_girth
-from stick_figure.kinematics import farthest_apart_m
+from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, make_data, rays_in_use
@@ -43,6 +43,7 @@ from ..monitor.pose_library import (
 from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
 from .pose_hypothesis import T_POSE_RAD, AcquisitionObservation, PoseHypothesis, farthest_stick
+from .t_pose_sizes import with_t_pose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, stance_of
 
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
@@ -137,7 +138,7 @@ class HullSource:
         cameras = rays_in_use(rays, self._visibility).camera
         dt_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
         observed = AcquisitionObservation(
-            dt_s, body, data, self._settings, cameras, voxels, stance, cut, self._visibility
+            dt_s, body, data, self._settings, cameras, voxels, pitch, stance, cut, self._visibility
         )
         self._follow(observed)
         if not self._followed:
@@ -219,7 +220,7 @@ class HullSource:
     def _answer(self, seen: AcquisitionObservation, watched_s: float) -> InitialPose:
         """Return the best hypothesis if it was watched, or holds a T-pose, explains enough, and no rival faces
         elsewhere."""
-        best, needed, watch_s = self._followed[0], self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
+        best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
         amiss = self._hold(seen, best.pose)
         held = len(self._held)
         if seen.cut and self._visibility is not None:
@@ -249,9 +250,20 @@ class HullSource:
             if watched_s > 4.0 * watch_s:
                 self._watch_anew()
             return InitialPose(reason=told if seen.cut else "front and back look alike: walk a step")
-        estimate = self._estimate
+        body, estimate = seen.body, self._estimate
+        if held >= needed and estimate is not None:
+            floor = np.array([0.0, 0.0, seen.stance.floor_world])
+            estimate = with_t_pose(estimate, forward(body, best.pose) - floor, seen.voxels - floor, seen.pitch)
+            body = replace(estimate.body, build=body.build)
         self.reset()
-        return InitialPose(best.pose, seen.body, "", estimate, is_fitted=True)
+        return InitialPose(best.pose, body, "", estimate, is_fitted=True)
+
+    def _best(self, seen: AcquisitionObservation) -> PoseHypothesis:
+        """Return the best hypothesis; one that is hardly worse and holds a T-pose is meant."""
+        best = self._followed[0]
+        rivals = [one for one in self._followed if one.mean_cost < best.mean_cost + SURE_SHARE]
+        asked = (one for one in rivals if farthest_stick(seen.body, one.pose, self._asked)[1] < T_POSE_RAD)
+        return best if seen.cut else next(asked, best)
 
     def _hold(self, seen: AcquisitionObservation, pose: Pose) -> str:
         """Count the sets in a row that show the pose that is asked for, held still; return what is amiss."""
