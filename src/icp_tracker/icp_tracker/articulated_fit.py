@@ -18,7 +18,6 @@ alike, keypoints (of whoever has a detector) do not, so the weight of one is OVE
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
-from stick_figure.least_squares.free_ends import ANGLES, CORRELATED, COUNT, STIFF_SD, TURN_SD
+from stick_figure.least_squares.free_ends import CORRELATED, STIFF_SD, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Stop, Weights
 from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
@@ -109,16 +108,6 @@ class ArticulatedSettings:
         return cls(model_sigma_m=1e-3, contour=ContourSettings(rigid=True))
 
 
-class Minimum(NamedTuple):
-    """Where a fit ends: the pose, the iterations that it took, whether it converged, and the turns (4, 2) rad of hands
-    and feet."""
-
-    pose: Pose
-    iterations: int
-    converged: bool
-    turns: np.ndarray = np.zeros((COUNT, ANGLES))
-
-
 @dataclass(frozen=True, eq=False)
 class FitResult:
     """The stick figure fitted to a cloud of points, world frame.
@@ -136,27 +125,29 @@ class FitResult:
     matched: RayMatch
 
 
-def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> Minimum:
-    """Fit the figure to the data from ``start``."""
+def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
+    """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
     state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
     stop = Stop(settings.max_iterations, TOLERANCE_M, HINGE_MARGIN_RAD)
-    iterations, moved, turns = gauss_newton.minimise(data, state, figure, weights, stop)
-    return Minimum(state.pose(), iterations, bool(moved < TOLERANCE_M), turns)
+    iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
+    return state.pose(), iterations, moved
 
 
-def assess(body: Body, fitted: Minimum, data: Data, settings: ArticulatedSettings) -> FitResult:
-    """Return what the data say about a pose: residuals, information, reference points and their covariance.
+def assess(
+    body: Body, pose: Pose, data: Data, iterations: int, converged: bool, settings: ArticulatedSettings
+) -> FitResult:
+    """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
 
     The covariance of a point is what the independent rows of this set determine: ``J H^-1 J^T`` with the H of
     :mod:`stick_figure.least_squares.independent_rows`. Most of it lasts for many sets (the filter's share); where in a
     limb a joint is (the filter's joint uncertainty) is not in it.
     """
-    pose = fitted.pose
-    found = gauss_newton.assess(data, State(*pose.arrays), fitted.turns, Figure.of(body), UNSEEN)
+    weights = make_weights(data, settings)
+    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, UNSEEN)
     points_world, covariance, counts, rms_m, near_sticks, matched = found
     if not settings.contour.rigid and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
-    solution = Solution(len(data.points), int(counts.sum()), rms_m, fitted.iterations, fitted.converged)
+    solution = Solution(len(data.points), int(counts.sum()), rms_m, int(iterations), bool(converged))
     visible = _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS)
     return FitResult(pose, solution, points_world, covariance, visible, matched)
 

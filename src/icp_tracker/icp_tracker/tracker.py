@@ -27,8 +27,8 @@ from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import (
     LONGEST_S,
+    TOLERANCE_M,
     FitResult,
-    Minimum,
     assess,
     make_data,
     minimise,
@@ -144,7 +144,7 @@ class IcpTracker:
         settings = self._settings.articulated
         found = self._monitor.assess(seen.stamp_ns, body, fit.pose, data, settings, fit.matched)
         if found.better is not None:
-            fit = self._solve(body, found.better, data)
+            fit = assess(body, found.better, data, fit.solution.iterations, fit.solution.converged, settings)
         elif found.quality.state == GOOD and learn:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:
@@ -191,9 +191,10 @@ class IcpTracker:
         settings = self._settings.articulated
         if self._all_joints:
             patience = settings if iterations is None else replace(settings, max_iterations=iterations)
-            return assess(body, minimise(body, start, data, patience), data, settings)
-        fitted = Minimum(*fit_hierarchical(body, start, data.points, self._settings.descendant_weight))
-        return assess(body, fitted, data, settings)
+            pose, spent, moved = minimise(body, start, data, patience)
+            return assess(body, pose, data, spent, moved < TOLERANCE_M, settings)
+        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.descendant_weight)
+        return assess(body, pose, data, spent, converged, settings)
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
         """Return the fit, done again with a better known body when there is one."""
@@ -283,7 +284,7 @@ def warm_up(settings: TrackerSettings, visibility: RigVisibility | None = None) 
     if settings.method == "articulated":
         trunk = TrunkBend(settings.articulated)
         data = make_data(points, 0.01, voxels, settings.articulated, contour_rays, visibility)
-        matched = assess(body, Minimum(pose, 0, True), data, settings.articulated).matched
+        matched = assess(body, pose, data, 0, True, settings.articulated).matched
         for k in range(2):
             trunk.look(k, body, pose, data.contour_rays, matched)
     if settings.refinement.keyframes > 0:

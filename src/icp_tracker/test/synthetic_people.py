@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig.visibility import EVERYWHERE
-from icp_tracker.articulated_fit import ArticulatedSettings, assess, make_data, minimise
+from icp_tracker.articulated_fit import TOLERANCE_M, ArticulatedSettings, assess, make_data, minimise
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS
 from stick_figure.kinematics import sticks
 from stick_figure.least_squares.contour_factor import RayArrays
@@ -57,7 +57,8 @@ def fit(body, start, points, sigma_m=0.0, voxels=NO_VOXELS, settings=None, conto
     """The figure fitted to points (n, 3) m with noise ``sigma_m``, voxels and contour rays, from ``start``."""
     settings = settings or ArticulatedSettings()
     data = make_data(points, sigma_m, voxels, settings, contour_rays)
-    return assess(body, minimise(body, start, data, settings), data, settings)
+    pose, iterations, moved = minimise(body, start, data, settings)
+    return assess(body, pose, data, iterations, moved < TOLERANCE_M, settings)
 
 
 def placed(body, pose):

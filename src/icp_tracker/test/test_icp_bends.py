@@ -37,7 +37,7 @@ def followed():
         trunk, found = TrunkBend(settings), pose
         data = make_data(np.zeros((1, 3)), 0.0, NO_VOXELS, settings, rays)
         for k in range(60):
-            found = minimise(trunk.of(body), found, data, settings).pose
+            found, _, _ = minimise(trunk.of(body), found, data, settings)
             match = match_to(Figure.of(trunk.of(body)), State.of(found), data)
             trunk.look(k * FRAME_NS, body, found, data.contour_rays, match)
         errors.append(np.linalg.norm(forward(trunk.of(body), found) - forward(bent, pose), axis=1))

@@ -54,7 +54,7 @@ def fitted(body, start, keypoints):
     """The pose that detections alone lead to."""
     settings = ArticulatedSettings(prior=10.0, max_iterations=30)
     data = make_data(np.empty((0, 3)), 0.0, NO_VOXELS, settings, keypoints=keypoints)
-    return minimise(body, start, data, settings).pose
+    return minimise(body, start, data, settings)[0]
 
 
 @pytest.fixture(scope="module")

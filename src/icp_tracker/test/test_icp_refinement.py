@@ -16,7 +16,7 @@ from mocap_packets.hull import HullProducts
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.body_surface import BodySurface, build_of_girth
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, turn_ends
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, straight_ends, turn_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
@@ -176,8 +176,9 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
 
 
 def turned(pose, figure, turns):
-    placed = place(State.of(pose), figure)
-    turn_ends(turns, placed)
+    placed, ends = place(State.of(pose), figure), straight_ends(1.0)
+    ends.turns[:] = turns
+    turn_ends(ends, placed)
     return placed
 
 

@@ -150,7 +150,7 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     assert off[others].max() < 1e-12
     assert off.max() < 0.12  # near enough for the fit, which does the rest:
     # where an arm is straight, elbow and wrist can bend in turn
-    fitted = minimise(person.body, found, data, ArticulatedSettings()).pose
+    fitted = minimise(person.body, found, data, ArticulatedSettings())[0]
     assert np.linalg.norm(forward(person.body, fitted) - truth, axis=1).max() < 0.06
 
 

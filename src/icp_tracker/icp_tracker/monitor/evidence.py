@@ -103,7 +103,7 @@ class Observation:
     def fitted(self, pose: Pose, guess: bool = False) -> Pose:
         """Return the pose that the fit reaches from another one, more freely if that is only a guess."""
         settings = replace(self.settings, prior=GUESS, max_iterations=self.guess_iterations) if guess else self.settings
-        return minimise(self.body, pose, self.data, settings).pose
+        return minimise(self.body, pose, self.data, settings)[0]
 
 
 @njit(cache=True, nogil=True)

@@ -16,7 +16,7 @@ from stick_figure import kernels
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD, add_joint_limits, add_neck_rest
 from stick_figure.least_squares.contour_factor import SLACK_M, bent_figure
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, LARGEST_TURN, turn_ends
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, LARGEST_TURN, straight_ends, turn_ends
 from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
 from stick_figure.least_squares.placed_figure import State, place
 
@@ -73,19 +73,20 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
     not. ``least`` : share of the rays that must be explained for it to count; returns the share that is.
     """
     state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), POSE + UNKNOWNS, UNKNOWNS
-    bend, turns = kept.bend[k], kept.turns[k]
-    _follow_shape(kept.through[k], kept.values[k] - values, state, bend, turns)
+    bend, ends = kept.bend[k], straight_ends(1.0)
+    _follow_shape(kept.through[k], kept.values[k] - values, state, bend, kept.turns[k])
+    ends.turns[:] = kept.turns[k]
     H, g = np.empty((n, n)), np.empty(n)
     placed = place(state, bent_figure(figure_at(model, values), model.bends, bend))
-    turn_ends(turns, placed)
-    explained = contour_system(rays, placed, turns, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
+    turn_ends(ends, placed)
+    explained = contour_system(rays, placed, ends.turns, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
     own, L, through = H[:POSE, :POSE].copy(), np.empty((POSE, POSE)), kept.through[k]
     through[:, :unknowns], through[:, unknowns] = H[:POSE, POSE:], g[:POSE]
     _add_limits(state, own[:TANGENT, :TANGENT], through[:TANGENT, unknowns])
     for i in range(POSE):
         own[i, i] += prior[i]
     through[TANGENT:BENT, unknowns] -= prior[TANGENT:BENT] * bend
-    through[BENT:, unknowns] -= prior[BENT:] * turns.ravel()
+    through[BENT:, unknowns] -= prior[BENT:] * ends.turns.ravel()
     solve_positive_columns(own, L, through)
     kept.values[k] = values
     information, target = kept.information[k], kept.target[k]

@@ -25,9 +25,9 @@ from capture_rig.kernel import kernel, njit
 from capture_rig.small_matrices import solve_positive
 
 from ..body import BEND_NUMBERS
-from ..body_surface import BodySurface
+from ..body_surface import CAPSULES, BodySurface
 from .free_ends import CAPSULE as CAPSULE_OF_END
-from .free_ends import COUNT, add_free_end
+from .free_ends import COUNT, STIFF, add_free_end
 from .normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -44,6 +44,7 @@ from .placed_figure import Figure, place
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
 HALF_LENGTH, ROWS = 12, 13
 CAPSULE, ALONG, DISTANCE, SEPARATION = range(4)
+IS_END = np.isin(np.arange(CAPSULES), CAPSULE_OF_END)  # which capsules are hands and feet
 POSE_AND_BEND = POSE + BEND_NUMBERS
 SURFACE_GATE_M = 0.06  # of a ray or a voxel from the body's surface, at which its weight has fallen to 1/4
 SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
@@ -113,6 +114,12 @@ class RayMatch(NamedTuple):
 
 
 @njit(cache=True)
+def match_at(match, rows):
+    """Return the match of some rays (m,), by number."""
+    return RayMatch(match.capsule[rows], match.along[rows], match.distance[rows], match.separation[rows])
+
+
+@njit(cache=True)
 def add_contour(rays, match, placed, gate, ends, H, g):
     """Add every ray's distance from the capsule that it was matched to to upper H and g, Geman-McClure with a ``gate``,
     m; hands and feet turn freely."""
@@ -120,10 +127,25 @@ def add_contour(rays, match, placed, gate, ends, H, g):
         return
     sums = no_sums(placed.P.shape[0], ENDS)
     sum_rays(rays, match, gate, sums)
+    _add_free_ends(sums, placed, ends, H, g)
+    add_pose_sums(sums, placed, H, g)
+
+
+@njit(cache=True)
+def look_at_ends(rays, match, placed, ends):
+    """Let hands and feet that turn freely follow the rays that were matched to them, the pose as it is."""
+    own = np.flatnonzero(IS_END[match.capsule])
+    sums = no_sums(placed.P.shape[0], ENDS)
+    sum_rays(rays_at(rays, own), match_at(match, own), SURFACE_GATE_M, sums)
+    _add_free_ends(sums, placed, ends, np.zeros((POSE, POSE)), np.zeros(POSE))
+
+
+@njit(cache=True)
+def _add_free_ends(sums, placed, ends, H, g):
+    """Add the sums of hands and feet that turn freely, let them follow from the pose, and clear the sums."""
     for e in range(COUNT):
         add_free_end(sums, e, placed, ends, H, g)
         sums.pulls[CAPSULE_OF_END[e]] = 0.0
-    add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True, error_model="numpy")
@@ -139,13 +161,58 @@ def sum_rays(rays, match, gate, sums):
 @njit(cache=True, nogil=True)
 def match_rays(rays, placed, slack):
     """Find the capsule that explains each ray best; ``slack`` (m) lengthens the stretch where a ray may touch."""
-    n, radii = rays.rows.shape[1], placed.surface.radii
-    best = np.zeros((4, n))
-    best[SEPARATION] = np.inf  # squared, until all capsules have been offered
-    for k in range(placed.P.shape[0]):
+    return ray_match(best_of_all(rays, placed, slack))
+
+
+@njit(cache=True)
+def best_of_all(rays, placed, slack):
+    """Offer all capsules; returns the best (4, n)."""
+    best = no_match(rays)
+    offer_capsules(np.arange(placed.P.shape[0]), rays, placed, slack, best)
+    return best
+
+
+@njit(cache=True)
+def match_turned(rays, placed, slack, stiff):
+    """Do the same after the ``stiff`` capsules have been offered, for hands and feet that turned since."""
+    best = stiff.copy()
+    offer_capsules(CAPSULE_OF_END, rays, placed, slack, best)
+    return ray_match(best)
+
+
+@njit(cache=True)
+def best_of_stiff(rays, placed, slack, best):
+    """Return the best (4, n) of all capsules but hands and feet, by that of all: rays of these are matched anew."""
+    stiff, own = best.copy(), np.flatnonzero(IS_END[best[CAPSULE].astype(np.int64)])
+    rays_of_ends = rays_at(rays, own)
+    others = no_match(rays_of_ends)
+    offer_capsules(STIFF, rays_of_ends, placed, slack, others)
+    for i in range(own.shape[0]):
+        stiff[:, own[i]] = others[:, i]
+    return stiff
+
+
+@njit(cache=True)
+def no_match(rays):
+    """Return what the capsules are offered to improve: their number, place, distance and squared separation (4, n)."""
+    best = np.zeros((4, rays.rows.shape[1]))
+    best[SEPARATION] = np.inf
+    return best
+
+
+@njit(cache=True)
+def offer_capsules(chosen, rays, placed, slack, best):
+    """Offer some capsules to all rays, in place."""
+    radii = placed.surface.radii
+    for k in chosen:
         match_capsule(k, placed.P[k], placed.Q[k], radii[k, 0], radii[k, 1] - radii[k, 0], slack, rays.rows, best)
-    capsule, separation = np.empty(n, np.int64), np.empty(n)
-    for i in range(n):
+
+
+@njit(cache=True)
+def ray_match(best):
+    """Return the match of the best capsules that were offered."""
+    capsule, separation = np.empty(best.shape[1], np.int64), np.empty(best.shape[1])
+    for i in range(capsule.shape[0]):
         capsule[i], separation[i] = int(best[CAPSULE, i]), np.sqrt(best[SEPARATION, i])
     return RayMatch(capsule, best[ALONG], best[DISTANCE], separation)
 

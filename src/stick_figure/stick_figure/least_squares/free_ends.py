@@ -16,11 +16,12 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from capture_rig.rigid import rotation_exp
 
-from ..body_surface import END_CAPSULES, END_STICKS
+from ..body_surface import CAPSULES, END_CAPSULES, END_STICKS
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
 
 COUNT, ANGLES = 4, 2  # left and right hand, left and right foot; angles of each
 CAPSULE, STICK = np.array(END_CAPSULES), np.array(END_STICKS)
+STIFF = np.setdiff1d(np.arange(CAPSULES), END_CAPSULES)  # the others
 AXES = np.array([[0, 2], [0, 2], [1, 2], [1, 2]])  # of the stick's frame: the hand bends across the forearm, the foot
 # Thresholds: TURN_SD wider than the range of daily movement (Ryu et al. 1991), as forearms turn, too: of 0.35, 0.7
 # and 1 rad the best on 66 people of python models/random_people.py; CORRELATED from the noise model: the rays of a set
@@ -55,14 +56,16 @@ def straight_ends(information):
 
 
 @njit(cache=True)
-def turn_ends(turns, placed):
-    """Turn hands and feet (4, 2) rad of a figure that was placed straight: their capsules, and the hands' tips."""
+def turn_ends(ends, placed):
+    """Turn hands and feet of a figure that was placed straight: their capsules, and the hands' tips."""
+    if ends.information == 0.0:
+        return
     pivot, point = np.empty(3), np.empty(3)
     for e in range(COUNT):
         k, j = CAPSULE[e], STICK[e]
-        if turns[e, 0] == 0.0 and turns[e, 1] == 0.0:
+        if ends.turns[e, 0] == 0.0 and ends.turns[e, 1] == 0.0:
             continue
-        R = _turn(e, placed, turns)
+        R = _turn(e, placed, ends.turns)
         _pivot(e, placed, pivot)
         _turn_about(R, pivot, placed.P[k], point)
         _turn_about(R, pivot, placed.Q[k], point)

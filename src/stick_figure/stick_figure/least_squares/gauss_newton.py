@@ -16,7 +16,18 @@ from capture_rig.visibility import UnseenCells
 
 from .. import kernels
 from ..joint_limits import LIMIT_SD_RAD, NECK_SD, add_joint_limits, add_neck_rest
-from .contour_factor import SLACK_M, SURFACE_GATE_M, RayArrays, add_contour, match_rays
+from .contour_factor import (
+    SLACK_M,
+    SURFACE_GATE_M,
+    RayArrays,
+    add_contour,
+    best_of_all,
+    best_of_stiff,
+    look_at_ends,
+    match_rays,
+    match_turned,
+    ray_match,
+)
 from .free_ends import follow, straight_ends, turn_ends
 from .independent_rows import add_independent_rows
 from .keypoint_factor import NO_KEYPOINTS, Keypoints, add_keypoints
@@ -29,6 +40,7 @@ TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight 
 # weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
 # to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
 OVERCOUNTED = 30.0
+LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 
 
 class Data(NamedTuple):
@@ -67,29 +79,41 @@ class Stop(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def assess(data, state, turns, figure, unseen):
+def assess(data, state, figure, weights, unseen):
     """Evaluate the data at a state: how well it explains them, and how well they determine it.
 
-    turns : (4, 2) rad of hands and feet. unseen : (24,) information about what no row bears on. Returns reference
-    points (15, 3) m and their covariance (15, 3, 3) m^2, that of the independent rows; inliers a stick (10,) and their
-    root mean square distance (m); surface voxels near each stick's surface (10,); what rays were matched to, hands and
-    feet straight.
+    unseen : (24,) information about what no row bears on. Returns reference points (15, 3) m and their covariance
+    (15, 3, 3) m^2, that of the independent rows; inliers a stick (10,) and their root mean square distance (m); surface
+    voxels near each stick's surface (10,); what rays were matched to.
     """
     placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
     capsule, _, distance = surface_distances(data.voxels, placed)
     for i in range(distance.shape[0]):
         if abs(distance[i]) < SURFACE_GATE_M:
             near[placed.surface.stick[capsule[i]]] += 1
-    straight = match_rays(data.contour_rays, placed, SLACK_M)
-    turn_ends(turns, placed)
-    rays_match = match_rays(data.contour_rays, placed, SLACK_M)
+    best = best_of_all(data.contour_rays, placed, SLACK_M)
+    rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
     match, independent = match_points(data, placed), np.diag(unseen)
     total = summarise(match, counts)
     add_independent_rows(data, placed, rays_match, match, independent)
     add_keypoints(data.keypoints, placed, 1.0, independent, np.empty(TANGENT))
     mirror_upper(independent)
     covariance = point_covariances(independent, placed)
-    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, straight
+    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, ray_match(best)
+
+
+@njit(cache=True)
+def _with_ends_turned(rays, best, state, figure, placed, weights):
+    """Return the match of the rays, and the figure with hands and feet turned to where they want them, the pose as it
+    is; ``placed`` : with both straight, ``best`` (4, n) of its capsules."""
+    ends = straight_ends(weights.ends)
+    stiff = best_of_stiff(rays, placed, SLACK_M, best)
+    for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
+        look_at_ends(rays, match_turned(rays, placed, SLACK_M, stiff), placed, ends)
+        follow(ends, np.zeros(TANGENT), 1.0)
+        placed = place(state, figure)
+        turn_ends(ends, placed)
+    return match_turned(rays, placed, SLACK_M, stiff), placed
 
 
 @njit(cache=True)
@@ -109,8 +133,8 @@ def loose_hull_weight(weights, distance):
 def minimise(data, state, figure, weights, stop):
     """Fit in place over the state, the surface voxels weighed by where it begins; bend the hinges the right way.
 
-    Returns the iterations, how far (m) the last one moved any of the 15 reference points (not the step itself: the
-    twist of a straight limb may wander without moving anything), and the turns (4, 2) rad of hands and feet.
+    Returns the iterations, and how far (m) the last one moved any of the 15 reference points. (Not the step itself: the
+    twist of a straight limb may wander without moving anything.)
     """
     start = (state.t0.copy(), state.R0.copy(), state.RJ.copy(), state.hinges.copy())
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
@@ -130,12 +154,12 @@ def minimise(data, state, figure, weights, stop):
         kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step, scale)
         follow(ends, step, scale)
         placed, before = place(state, figure), after
-        turn_ends(ends.turns, placed)
+        turn_ends(ends, placed)
         after = reference_points(placed)
         moved = np.sqrt(((after - before) ** 2).sum(axis=1).max())
         iteration += 1
     kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), stop.hinge_margin)
-    return iteration, moved, ends.turns
+    return iteration, moved
 
 
 @njit(cache=True, nogil=True)
