@@ -143,6 +143,7 @@ def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(
     "arguments, words",
     [
         ((), "no pictures are given"),
+        (("--floor-points", "points.yaml", "--floor", "floor"), "both give the floor"),
         (("--floor", "floor", "--floor-at", "12"), "other pictures show the floor"),
         (("--moving", "moving", "--floor-at", "soon"), "'soon' is no frame"),
         (("--floor", "floor", "--origin", "there"), "--origin: 'there' cannot be read"),
@@ -156,6 +157,21 @@ def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(
 def test_arguments_that_contradict_each_other_are_refused_with_a_remedy(arguments, words, capsys):
     assert main(["calibrate", "extrinsics", "--intrinsics", "none", "--board", BOARD_TEXT, *arguments]) == BAD_INPUT
     assert words in capsys.readouterr().err
+
+
+def test_measured_points_on_the_floor_serve_instead_of_a_board(room, cameras, capsys):
+    points = {"A": [-0.8, -0.5], "B": [0.8, -0.5], "C": [0.8, 0.6], "D": [-0.8, 0.6], "E": [0.0, 0.0, 0.4]}
+    world = np.array([[*xy, 0.0][:3] for xy in points.values()])
+    rng = np.random.default_rng(4)
+    seen = {}
+    for name, camera in cameras.items():
+        clicked = camera.project(world) + 0.3 * rng.standard_normal((5, 2))
+        seen[name] = dict(zip(points, clicked.round(1).tolist(), strict=True))
+    path = room / "points.yaml"
+    path.write_text(yaml.safe_dump({"points": points, "cameras": seen}))
+    assert calibrate(room, "--floor-points", path, floor=False) == 0, capsys.readouterr()
+    for camera in load_rig(room / "rig.yaml").cameras:
+        assert np.linalg.norm(camera.centre_world - cameras[camera.name].centre_world) < 0.03
 
 
 def hidden(image, camera):

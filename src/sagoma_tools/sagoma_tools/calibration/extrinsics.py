@@ -28,7 +28,7 @@ from .rig_detections import (
     write_corner_help,
     write_template,
 )
-from .rig_inputs import RigInputs, read_intrinsics, read_lens_deviations, require_seen
+from .rig_inputs import RigInputs, read_floor_points, read_intrinsics, read_lens_deviations, require_seen
 from .rig_report import print_report, write_outputs
 
 if TYPE_CHECKING:  # ROS takes a second to load
@@ -38,12 +38,16 @@ Sources: TypeAlias = "FootageSources | LiveSources"
 
 def calibrate_extrinsics(request: RigRequest, sources: Sources, console: Console) -> RigCalibration:
     """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
-    cameras = read_intrinsics(request.intrinsics, set(sources.names) - set(request.without))
+    points = None if request.floor_points is None else read_floor_points(request.floor_points)
+    names = {*sources.names, *(points.seen if points else ())} - set(request.without)
+    cameras = read_intrinsics(request.intrinsics, names)
     corners = read_corners(request.corners) if request.corners is not None else {}
     floor = _detect_floor(request, sources, corners)
     moving = sources.detect_moving(request.board, cameras) if request.board is not None else {}
     wands = sources.detect_wand(request.wand_marks_m, cameras) if request.wand_marks_m else {}
     inputs = RigInputs()
+    if points is not None:
+        inputs.add_floor_points(points, cameras)
     if request.floor_board is not None:
         target = Target.of(request.floor_board, request.choice)
         seen = detections_of(floor)
@@ -126,6 +130,7 @@ class RigRequest:
     output: Path
     board: Board | None = None
     floor_board: Board | None = None
+    floor_points: Path | None = None
     floor_at: FloorAt | None = None
     wand_marks_m: tuple[float, ...] = ()
     corners: Path | None = None
@@ -141,11 +146,13 @@ def request_from(args: argparse.Namespace) -> RigRequest:
     footage = bool(args.floor or args.moving or args.wand)
     if args.moving == [] and not args.live:
         raise InputError("no footage is given", where="--moving", remedy="Name its folder, or add --live.")
-    if not (args.live or footage):
+    if not (args.live or footage or args.floor_points):
         raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
     if args.live and footage:
         remedy = "Leave out the footage; write --moving alone to record a carried board."
         raise InputError("pictures come from the cameras", where="--live", remedy=remedy)
+    if args.floor and args.floor_points:
+        raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
     if args.wand and args.wand_marks is None:
         remedy = "Write --wand-marks 0,0.25,0.4."
         raise InputError("the wand's markers are not given", where="--wand-marks", remedy=remedy)
@@ -163,7 +170,8 @@ def request_from(args: argparse.Namespace) -> RigRequest:
         output=Path(args.output),
         board=carried or lying,
         floor_board=lying,
-        floor_at=_floor_at(args.floor_at, bool(args.floor or args.live), bool(args.moving)),
+        floor_points=Path(args.floor_points) if args.floor_points else None,
+        floor_at=_floor_at(args.floor_at, bool(args.floor or args.floor_points or args.live), bool(args.moving)),
         wand_marks_m=tuple(marks),
         corners=Path(args.corners) if args.corners else None,
         click=None if args.click is None else tuple(args.click),

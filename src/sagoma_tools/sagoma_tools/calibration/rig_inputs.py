@@ -1,12 +1,16 @@
 """The inputs of a rig's calibration: the cameras' lenses, the targets, and the detections of them.
 
-Lenses come from camera_info YAML files, one a camera, or from a rig file whose poses are to be renewed.
+A floor is given by a board, or by points that were measured by hand. Lenses come from camera_info YAML files, one a
+camera, or from a rig file whose poses are to be renewed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import read_camera_info
@@ -20,6 +24,10 @@ from rig_calibration.extrinsics.world import WorldChoice
 
 from .rig_detections import Cameras, CamerasDetections
 
+FEWEST_POINTS = 4
+CLICKED_SD_PX = 1.0
+"""Standard deviation of a person's click."""
+FORMAT = "Write points: {A: [x, y], ...} in metres on the floor, and cameras: {NAME: {A: [u, v], ...}} in pixels."
 PINHOLE = ("fx", "fy", "cx", "cy")
 CALIBRATE = "Run sagoma calibrate intrinsics for it first"
 
@@ -57,6 +65,14 @@ class RigInputs:
             self.detections += [detection for detection in carried if detection.frame_index in shared]
             self.targets[name] = target
 
+    def add_floor_points(self, points: FloorPoints, cameras: Cameras) -> None:
+        """Add measured points as the floor target, seen by those of ``cameras`` that the file names."""
+        for name in sorted(points.seen.keys() & cameras.keys()):
+            ids, pixels = points.seen[name]
+            size = cameras[name].width, cameras[name].height
+            self.detections.append(TargetDetection(name, 0, ids, pixels, size, FLOOR, CLICKED_SD_PX))
+        self.targets[FLOOR] = Target(points.world, T_world_target=np.eye(4))
+
 
 def require_seen(
     cameras: Iterable[str], inputs: RigInputs, searched: Sequence[tuple[str, CamerasDetections, Board | None]]
@@ -79,6 +95,49 @@ def require_seen(
         "(--click, or --corners FILE)"
         + (f", or calibrate the others alone (--without {' '.join(unseen)})." if others else "."),
     )
+
+
+class FloorPoints(NamedTuple):
+    """Points that were measured on the floor: ``world`` (n, 3), m; by camera, which it shows (ids) and where, px."""
+
+    world: np.ndarray
+    seen: dict[str, tuple[np.ndarray, np.ndarray]]
+
+
+def read_floor_points(path: Path) -> FloorPoints:
+    """Read a file of measured points; a third number of a point is its height. Raises InputError naming file, camera,
+    point and remedy."""
+    document = read_mapping(path, FORMAT)
+    points = {name: _numbers(xy, (2, 3), f"{path}: points.{name}") for name, xy in _part(document, "points", path)}
+    order, found = {name: index for index, name in enumerate(points)}, {}
+    for camera, seen in _part(document, "cameras", path):
+        where = f"{path}: cameras.{camera}"
+        if not isinstance(seen, Mapping) or len(seen) < FEWEST_POINTS:
+            remedy = "Measure more points, spread over what the camera sees."
+            raise InputError(f"shows fewer than {FEWEST_POINTS} points", where=where, remedy=remedy)
+        if unknown := sorted(set(map(str, seen)) - set(order)):
+            remedy = f"Known points: {', '.join(order)}."
+            raise InputError(f"point '{unknown[0]}' is not among the measured ones", where=where, remedy=remedy)
+        pixels = np.array([_numbers(uv, (2,), f"{where}.{name}") for name, uv in seen.items()])
+        found[camera] = np.array([order[str(name)] for name in seen]), pixels
+    return FloorPoints(np.array([[*xy, 0.0][:3] for xy in points.values()]), found)
+
+
+def _part(document: Mapping[str, Any], key: str, path: Path) -> list[tuple[str, Any]]:
+    part = document.get(key)
+    if not isinstance(part, Mapping) or not part:
+        raise InputError(f"key '{key}' is missing or empty", where=str(path), remedy=FORMAT)
+    return [(str(name), value) for name, value in part.items()]
+
+
+def _numbers(value: Any, lengths: tuple[int, ...], where: str) -> list[float]:
+    try:
+        numbers = [float(number) for number in value]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in lengths or not np.isfinite(numbers).all():
+        raise InputError(f"{value!r} is not {' or '.join(map(str, lengths))} numbers", where=where, remedy=FORMAT)
+    return numbers
 
 
 def read_intrinsics(path: str | Path, names: Iterable[str]) -> dict[str, CameraModel]:

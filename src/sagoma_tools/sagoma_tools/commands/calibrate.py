@@ -156,6 +156,7 @@ def _add_world(group: argparse._ArgumentGroup) -> None:
     option("--board-thickness", type=number("m", 0, 0.5), default=0.0, metavar="METRES", help="of the floor board")
     when = "a frame's number, lowest (default: found), or none (no floor is known)"
     option("--floor-at", metavar="WHEN", help=f"without --floor: when the carried board lies on the floor: {when}")
+    option("--floor-points", metavar="FILE", help="YAML of points measured on the floor and seen by cameras")
 
 
 def run_extrinsics(args: argparse.Namespace) -> int:
