@@ -91,9 +91,8 @@ class ContourSettings:
 class ArticulatedSettings:
     """Settings of the all-joints solve.
 
-    model_sigma_m : distance of a perfect
-    centerline point from its stick. prior : how far a pose may leave its start where no datum says otherwise, over the
-    PRIOR_SD. max_iterations : of Gauss-Newton.
+    model_sigma_m : distance of a perfect centerline point from its stick. prior : how far a pose may leave its start
+    where no datum says otherwise, over the PRIOR_SD. max_iterations : of Gauss-Newton.
     """
 
     volume: VolumeSettings = field(default_factory=VolumeSettings)

@@ -22,7 +22,7 @@ from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
-from .acquisition.body_sizes import BodyEstimate
+from .acquisition.body_sizes import BodyEstimate, covariance_of_sizes
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import (
@@ -36,7 +36,6 @@ from .articulated_fit import (
     rays_in_use,
     unknown_covariance,
 )
-from .body_uncertainty import covariance_of_sizes
 from .extrinsic_monitor import ContourResiduals
 from .monitor.evidence import SAME_M
 from .monitor.track_monitor import TrackAssessment, TrackMonitor

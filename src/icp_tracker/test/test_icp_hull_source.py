@@ -12,6 +12,7 @@ from t_pose_studio import DOWN, SET_NS, Studio, box, person, standing, studio
 
 from icp_tracker.acquisition import truncation
 from icp_tracker.acquisition.hull_source import HullSource, MotionSettings, TPoseSettings
+from icp_tracker.acquisition.pose_hypothesis import STEP_M
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from stick_figure.body import Body
 from stick_figure.body_surface import build_of_girth
@@ -197,6 +198,17 @@ def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little(
     found, number = found_in(source_of(0.5, visibility), sets)
     assert found.pose is not None and (found.body.build == build_of_girth(1.3)).all()
     assert found.pose.R_world_torso[:, 0] @ poses[number].R_world_torso[:, 0] > 0.8
+
+
+def test_slower_walk_counts_less_as_walking_forwards():
+    sets, _, visibility = walk(seconds=1.3)
+    ways = []
+    for times in (1, 6):
+        source = source_of(30.0, visibility)
+        for k, seen in enumerate(sets):
+            source.find_pose(replace(seen, stamp_ns=10**9 + k * times * EVERY * SET_NS))
+        ways.append(max(hypothesis.way for hypothesis in source._followed))
+    assert ways[0] > STEP_M / 2 and 0.0 < ways[1] < ways[0] / 3
 
 
 def test_it_must_have_watched_for_so_long_and_anew_after_a_long_gap():

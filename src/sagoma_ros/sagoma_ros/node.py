@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import inspect
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, TypeVar
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -197,8 +198,48 @@ def declare_parameters(node: Node, settings_class: type) -> None:
     given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
     known = {leaf.key: leaf for leaf in leaves(settings_class)}
     for key, leaf in known.items():
-        node.declare_parameter(key, given.get(key, leaf.default), _descriptor(leaf), ignore_override=True)
+        value = _of_type(leaf, given.get(key, leaf.default))
+        node.declare_parameter(key, value, _descriptor(leaf), ignore_override=True)
+    node.add_pre_set_parameters_callback(lambda changes: [_change_of_type(known, change) for change in changes])
     node.add_on_set_parameters_callback(lambda changes: _check(node, settings_class, changes))
+    _describe_ranges(node, known)
+
+
+def _of_type(leaf: Leaf, value: Any) -> Any:
+    """Return the value; a whole number given for a parameter with decimals as such a one, so that it keeps its type."""
+    if leaf.type is float and type(value) is int:
+        return float(value)
+    if leaf.type == list[float] and isinstance(value, Sequence) and any(type(one) is int for one in value):
+        return [float(one) if type(one) is int else one for one in value]
+    return value
+
+
+def _change_of_type(known: Mapping[str, Leaf], change: Parameter) -> Parameter:
+    value = _of_type(known[change.name], change.value) if change.name in known else change.value
+    return change if value is change.value else Parameter(change.name, value=value)
+
+
+def _describe_ranges(node: Node, known: Mapping[str, Leaf]) -> None:
+    """Let the node tell ranges to whoever asks, as rqt does for its sliders.
+
+    rclpy does not get them: it would refuse values without saying what to do, and bad overrides with an exception.
+    """
+    described = node.describe_parameter
+
+    def describe(name: str) -> ParameterDescriptor:
+        found, leaf = described(name), known.get(name)
+        if leaf is None:
+            return found
+        found = copy(found)
+        found.dynamic_typing = False  # another type is refused, by our own check
+        low, high = leaf.bounds
+        if leaf.type is float and leaf.has_range:
+            found.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+        elif leaf.type is int and leaf.has_range:
+            found.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        return found
+
+    node.describe_parameter = describe  # type: ignore[method-assign]
 
 
 def read_parameters(node: Node, settings_class: type[T]) -> T:

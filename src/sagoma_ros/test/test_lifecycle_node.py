@@ -12,6 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from node_probe import FAILURE, SUCCESS
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
@@ -265,3 +267,26 @@ def test_impossible_and_failed_transitions_are_answered_with_no_and_kill_nothing
     assert node.state == "unconfigured"
     node.set_parameters([Parameter("rig_file", value="rig.yaml")])
     assert change_state(Transition.TRANSITION_CONFIGURE) and node.state == "inactive"
+
+
+def test_change_of_a_configured_node_says_when_it_takes_effect(ros: Spinner, capfd) -> None:
+    """Over the service, as ``ros2 param set`` asks: it prints the reason of a success, too."""
+    node = make_node(ros, rig_file="rig.yaml")
+    client_node = ros.add(Node("param_set", context=ros.context))
+    client = client_node.create_client(SetParameters, f"{node.get_fully_qualified_name()}/set_parameters")
+    ros.until(client.service_is_ready)
+
+    def set_cameras(value: int) -> SetParametersResult:
+        change = Parameter("cameras", value=value).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[change]))
+        ros.until(answer.done)
+        return answer.result().results[0]
+
+    assert (set_cameras(2).successful, set_cameras(3).reason) == (True, "")
+    assert node.trigger_configure() == SUCCESS and node.trigger_activate() == SUCCESS
+    late = set_cameras(5)
+    assert late.successful and late.reason.startswith("takes effect at the next configure")
+    assert node.settings.cameras == 3 and "cameras: takes effect at the next configure" in capfd.readouterr().err
+    assert node.trigger_deactivate() == SUCCESS and node.trigger_cleanup() == SUCCESS
+    assert set_cameras(6).reason == "" and node.trigger_configure() == SUCCESS
+    assert node.settings.cameras == 6

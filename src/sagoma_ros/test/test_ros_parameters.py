@@ -87,17 +87,24 @@ def test_later_change_that_is_bad_is_rejected_with_its_reason_and_one_that_is_go
     assert (read.cameras, read.low) == (8, [1.0, 2.0])
 
 
-def test_parameters_are_described_with_unit_range_and_choices(ros: Spinner) -> None:
-    voxel, backend = make_node(ros).describe_parameters(["voxel_m", "backend"])
+def test_parameters_are_described_with_unit_and_with_ranges_for_sliders(ros: Spinner) -> None:
+    described = make_node(ros).describe_parameters(["voxel_m", "backend", "cameras", "low"])
+    voxel, backend, cameras, low = described
     assert (voxel.description, voxel.additional_constraints) == ("voxel size [m]", "0.002 to 0.2")
     assert backend.additional_constraints == "one of auto, cpu, gl"
+    assert [(r.from_value, r.to_value) for r in voxel.floating_point_range] == [(0.002, 0.2)]
+    assert [(r.from_value, r.to_value, r.step) for r in cameras.integer_range] == [(1, 64, 1)]
+    assert not (voxel.dynamic_typing or low.floating_point_range or voxel.integer_range)
 
 
-def test_whole_numbers_are_taken_for_decimals_and_not_the_other_way_round(ros: Spinner) -> None:
+def test_whole_numbers_given_for_decimals_keep_the_parameters_type(ros: Spinner) -> None:
     node = make_node(ros, {"blob.min_area_m2": 1, "low": [1, 2]})
-    assert node.set_parameters_atomically([Parameter("voxel_m", value=0.1)]).successful
-    read = read_parameters(node, Settings)
-    assert (read.blob, read.low) == (Blob(1.0), [1.0, 2.0]) and isinstance(read.blob.min_area_m2, float)
+    assert read_parameters(node, Settings).blob.min_area_m2 == 1.0
+    double = Parameter.Type.DOUBLE
+    assert node.get_parameter("blob.min_area_m2").type_ == double
+    assert node.get_parameter("low").type_ == Parameter.Type.DOUBLE_ARRAY
+    assert node.set_parameters_atomically([Parameter("blob.min_area_m2", value=0)]).successful
+    assert (node.get_parameter("blob.min_area_m2").type_, node.get_parameter("blob.min_area_m2").value) == (double, 0.0)
     refused = node.set_parameters_atomically([Parameter("cameras", value=4.0)])
     assert not refused.successful and "cameras = 4.0 is not of type int" in refused.reason
 

@@ -1,4 +1,4 @@
-"""The sizes of a person of whom only the stature is known: what is known of people.
+"""The sizes of a person of whom only the stature is known, and what their uncertainty does to fitted points.
 
 Prior: segment lengths over the stature, and how people differ. Means lie between Drillis & Contini 1966 (in Winter,
 fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870, shoulder .818; forearm and hand .254) and the joint
@@ -19,7 +19,20 @@ import numpy as np
 
 from stick_figure.body import Body
 from stick_figure.body_surface import LENGTHS, lengths_of
-from stick_figure.skeleton import HEAD, L_CALF, L_FOREARM, L_THIGH, L_UPPER_ARM, R_CALF, R_FOREARM, R_THIGH, R_UPPER_ARM
+from stick_figure.kinematics import stick_frames
+from stick_figure.pose import Pose
+from stick_figure.skeleton import (
+    HEAD,
+    L_CALF,
+    L_FOREARM,
+    L_THIGH,
+    L_UPPER_ARM,
+    POINT_STICK,
+    R_CALF,
+    R_FOREARM,
+    R_THIGH,
+    R_UPPER_ARM,
+)
 
 SIZES = (*LENGTHS, "ankle_height")
 """Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
@@ -99,3 +112,44 @@ def sizes_of_stature(stature_m: float, sd_m: float) -> BodyEstimate:
     row = np.zeros(len(SIZES))
     row[[HEAD_, TORSO_, THIGH, CALF, ANKLE]] = 1.0
     return BodyEstimate(prior.sizes, prior.covariance + common).updated(row, stature_m, sd_m)
+
+
+# --- what uncertain sizes add to the covariance of fitted points
+#
+# A fit puts the figure's surface where the body's is; how far along a stick a joint lies from there is the figure's
+# sizes alone. So a size that is wrong by d moves its own point by d along its own stick. The sticks beyond it are not
+# moved: their surfaces are where the rays show them. Left and right of one size err together; each point's covariance
+# is its own.
+
+# point: sizes that place it in the frame of its stick, each as (coordinate axis, size, share of the size's error); the
+# torso's centre is half its length from either end
+_PLACED_BY = (
+    ((2, TORSO_, 0.5),),
+    ((2, HEAD_, 1.0),),
+    ((2, TORSO_, 0.5),),
+    *(((1, SHOULDER, 1.0), (2, RISE, 1.0)),) * 2,
+    *(((1, HIP, 1.0), (2, TORSO_, 0.5)),) * 2,
+    *(((1, UPPER_ARM, 1.0),),) * 2,
+    *(((2, THIGH, 1.0),),) * 2,
+    *(((1, FOREARM, 1.0),),) * 2,
+    *(((2, CALF, 1.0),),) * 2,
+)
+
+
+def _shares() -> np.ndarray:
+    """Return (15, 3, SIZES): variance of a point along its stick's axes per variance of each size."""
+    shares = np.zeros((len(_PLACED_BY), 3, len(SIZES)))
+    for point, placed_by in enumerate(_PLACED_BY):
+        for axis, size, share in placed_by:
+            shares[point, axis, size] = share**2
+    return shares
+
+
+_SHARES = _shares()
+
+
+def covariance_of_sizes(pose: Pose, size_sd_m: np.ndarray) -> np.ndarray:
+    """Return (15, 3, 3) m^2, world frame, of the points of a pose when the sizes (10,) have these deviations, m."""
+    variances = _SHARES @ size_sd_m**2
+    frames = stick_frames(pose)[POINT_STICK]
+    return np.asarray((frames * variances[:, None, :]) @ frames.transpose(0, 2, 1))

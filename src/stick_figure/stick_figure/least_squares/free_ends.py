@@ -58,8 +58,6 @@ def straight_ends(information):
 @njit(cache=True)
 def turn_ends(ends, placed):
     """Turn hands and feet of a figure that was placed straight: their capsules, and the hands' tips."""
-    if ends.information == 0.0:
-        return
     pivot, point = np.empty(3), np.empty(3)
     for e in range(COUNT):
         k, j = CAPSULE[e], STICK[e]

@@ -108,7 +108,7 @@ def _with_ends_turned(rays, best, state, figure, placed, weights):
     is; ``placed`` : with both straight, ``best`` (4, n) of its capsules."""
     ends = straight_ends(weights.ends)
     stiff = best_of_stiff(rays, placed, SLACK_M, best)
-    for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
+    for _ in range(LOOKS_AT_ENDS):
         look_at_ends(rays, match_turned(rays, placed, SLACK_M, stiff), placed, ends)
         follow(ends, np.zeros(TANGENT), 1.0)
         placed = place(state, figure)
