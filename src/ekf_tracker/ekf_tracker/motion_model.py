@@ -13,7 +13,8 @@ A limb at rest is tracked best with little process noise; one that strikes needs
 Which it is, its own measured points tell: while the model holds, the squared Mahalanobis distance of a point's
 innovation is chi-square with 3 degrees of freedom. Where it is larger, the process noise of that limb over the last
 prediction is raised to what muscles do (adjustable process noise: Bar-Shalom, Li & Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 11.2.2).
+Applications to Tracking and Navigation, 11.2.2). What lies beyond even that, one set later, is no motion: the limb was
+elsewhere before.
 """
 
 from __future__ import annotations

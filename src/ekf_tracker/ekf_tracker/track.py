@@ -18,6 +18,7 @@ from .kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate
 from .measurement import Measurement, Sizes, linearised, squared_distances
 from .motion_model import (
     DIMENSION,
+    EXPECTED,
     NO_TRANSITION,
     POSE,
     VELOCITY,
@@ -65,6 +66,7 @@ class Track:
         self._estimate = first_estimate(self.body, noise, self._motion, self._update_options)
         self._F, self._prior = NO_TRANSITION, self._estimate
         self._add_measured(z)
+        self._seen = z.visible
 
     @property
     def passage(self) -> tuple[Estimate, Estimate, np.ndarray]:
@@ -98,8 +100,9 @@ class Track:
         """Correct the estimate with the points of the predicted stamp (thesis Table 5.7), of which some are doubtful,
         and some were found in another place.
 
-        A limb whose points the quiet process noise does not explain is taken to accelerate; of one that was found
-        elsewhere, what was known is released. None when that is the torso: the track has to start anew.
+        A limb whose points the quiet process noise does not explain is taken to accelerate. Of one that was found
+        elsewhere, or is farther off than it can have gone since the set before, what was known is released. None when
+        that is the torso: the track has to start anew.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
@@ -110,7 +113,7 @@ class Track:
             raised = raised_covariance(prior.covariance, self._last_transition, accelerating)
             prior = prior._replace(covariance=raised)
             distances = squared_distances(prior, sizes, noise)
-        anew = z.visible & moved
+        anew = z.visible & (moved | self._seen & (distances > EXPECTED))
         if 2 * np.count_nonzero(anew[TORSO_POINTS]) >= len(TORSO_POINTS) and enough_to_start(z):
             return None
         start = prior.arrays
@@ -122,6 +125,7 @@ class Track:
         if z.visible.any():
             self._estimate = correct_estimate(sizes, prior, start, noise, self._update_options)
             self._add_measured(z)
+        self._seen = z.visible
         return self.state(z, doubtful, distances)
 
     def _add_measured(self, z: Measurement) -> None:
