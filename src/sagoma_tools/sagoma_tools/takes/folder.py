@@ -148,7 +148,7 @@ class TakesFolder:
 def describe(path: Path) -> Take:
     """Return what is known of a bag by its index, provenance and summary, whatever it holds; raises OSError alone."""
     take = Take(path, bytes=sum(file.stat().st_size for file in path.glob("*") if file.is_file()))
-    if path.is_dir() and not (path / "metadata.yaml").exists():
+    if _is_bag(path) and not (path / "metadata.yaml").exists():
         what = "has no index: it is being recorded, or its recorder was killed"
         problem = InputError(what, where=str(path), remedy=f"Once nobody records it: `sagoma recover '{path}'`.")
         return replace(take, state=TakeState.UNFINISHED, problem=str(problem), began_ns=_newest_change_ns(path))
