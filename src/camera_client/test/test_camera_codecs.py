@@ -6,9 +6,9 @@ import pytest
 from camera_pictures import learned
 
 from camera_client.background.adaptive import AdaptiveBackground, samples_of
-from camera_client.background.noise import assumed_noise, measured_correlation
+from camera_client.background.noise import measured_correlation
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
-from camera_client.silhouettes.evidence import FINE_GRAIN, codec_error_sigma
+from camera_client.silhouettes.evidence import FINE_GRAIN
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from virtual_studio.rig import ring
 
@@ -52,14 +52,6 @@ def test_grain_is_what_neighbours_share_and_the_same_picture_again_tells_none():
     assert measured_correlation(own, own, other) == 1.0
     assert measured_correlation(own, other, other) == 0.0
     assert measured_correlation(again, again, again) is None
-
-
-def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
-    change = np.zeros((60, 80), np.uint8)
-    change[:, 60:] = 100
-    assert codec_error_sigma(change, assumed_noise(2.0, 1)) is None
-    codec_sigma = codec_error_sigma(change, assumed_noise(2.0, 1)._replace(spatial_correlation=0.6))
-    assert (codec_sigma[:, 52:] > 2).all() and (codec_sigma[:, :52] == 0).all()
 
 
 @pytest.mark.parametrize("colour", [False, True])
