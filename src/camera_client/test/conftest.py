@@ -97,7 +97,8 @@ def gige_camera():
     """``gige_camera(scene, loop=..., **settings)``: a simulated GigE Vision camera on a loopback address of its own.
 
     Its pictures are numbered and carry the instant of mid-exposure, unless another scene is given. Skips where Aravis
-    is not installed. All cameras are switched off at the end.
+    is not installed. All cameras are switched off at the end: ask for it before the node that uses it, which closes
+    first then and does not wait for dead cameras.
     """
     try:
         import_aravis()

@@ -95,7 +95,7 @@ def test_camera_that_turns_is_found_in_pictures_of_half_the_size():
 
 @pytest.mark.parametrize("raw", [False, True], ids=["silhouettes alone", "images too"])
 def test_client_makes_whole_images_only_where_somebody_takes_them(
-    raw, bench, gige_camera, scene, tmp_path, monkeypatch
+    raw, gige_camera, bench, scene, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("capture_rig.visibility.MOST_PIXEL_M", ANY_PIXEL_M)
     simulated = gige_camera(StillRoom(scene.empty(50, colour=True)))

@@ -105,7 +105,7 @@ class Room:
         return image
 
 
-def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room(bench, gige_camera, tmp_path):
+def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room(gige_camera, bench, tmp_path):
     room, saved = Room(), tmp_path / "bg.npz"
     simulated = gige_camera(room, noise=2.0, serial="SN42")
     parameters = {
