@@ -135,16 +135,24 @@ def bench(open_probe, monkeypatch):
     return open_bench
 
 
-@pytest.fixture
-def session(tmp_path, scene):
-    """Rig, video of a person, background video, and the parameters that play them as fast as they are acknowledged."""
-    images = [scene.with_person(image) for image in scene.empty(FRAMES, seed=5)]
-    parameters = {
+@pytest.fixture(scope="session")
+def footage(tmp_path_factory):
+    """Rig, background and video of a person, written once: parameters that play them as fast as they are acknowledged."""
+    folder = tmp_path_factory.mktemp("footage")
+    return {
         "camera_name": "cam01",
-        "rig_file": scene.write_rig(tmp_path / "rig.yaml", scene.camera(), scene.camera("cam02")),
-        "background": scene.write_video(tmp_path / "bg.avi", scene.empty(40)),
-        "footage.path": scene.write_video(tmp_path / "cam01.avi", images),
+        "rig_file": write_rig(folder / "rig.yaml", camera(), camera("cam02")),
+        "background": write_video(folder / "bg.avi", empty_scene(40)),
+        "footage.path": write_video(
+            folder / "cam01.avi", [with_person(image) for image in empty_scene(FRAMES, seed=5)]
+        ),
         "footage.epoch_ns": EPOCH_NS,
         "footage.rate": 0.0,
     }
-    return types.SimpleNamespace(folder=tmp_path, images=images, parameters=parameters, truth=scene.person_mask())
+
+
+@pytest.fixture
+def session(tmp_path, footage):
+    """A folder of the test's own, the parameters that play the common footage, its pictures, and where the person is."""
+    images = [with_person(image) for image in empty_scene(FRAMES, seed=5)]
+    return types.SimpleNamespace(folder=tmp_path, images=images, parameters=footage, truth=person_mask())
