@@ -137,7 +137,7 @@ def bench(open_probe, monkeypatch):
 
 @pytest.fixture(scope="session")
 def footage(tmp_path_factory):
-    """Rig, background and video of a person, written once: parameters that play them as fast as they are acknowledged."""
+    """Rig, background and video of a person, written once: parameters that play it as fast as it is acknowledged."""
     folder = tmp_path_factory.mktemp("footage")
     return {
         "camera_name": "cam01",
@@ -153,6 +153,6 @@ def footage(tmp_path_factory):
 
 @pytest.fixture
 def session(tmp_path, footage):
-    """A folder of the test's own, the parameters that play the common footage, its pictures, and where the person is."""
+    """Parameters that play the common footage, its pictures, where the person is, and a folder of the test's own."""
     images = [with_person(image) for image in empty_scene(FRAMES, seed=5)]
     return types.SimpleNamespace(folder=tmp_path, images=images, parameters=footage, truth=person_mask())

@@ -4,21 +4,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from camera_pictures import iou, learned
+from camera_pictures import SENSOR, iou, learned, studio_walk
 
 from camera_client.frame_processor import FrameProcessor
 from camera_client.frame_source import Frame
 from camera_client.settings import CameraClientSettings
-from stick_figure.body import Body
-from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.people import OUTFITS, VolumetricBody
 from virtual_studio.recording.session import FIRST_BACKGROUND_FRAME
-from virtual_studio.rendering.camera import Sensor, VirtualCamera
-from virtual_studio.rendering.capsules import floor_shadow
 from virtual_studio.rig import ring
 
 CAMERA, POSES, FRAMES, STEP_NS = 1, 6, 30, 10**8
-SENSOR = Sensor(noise=2.0, flicker=0.005, seed=13)
 
 
 class Take:
@@ -27,16 +21,7 @@ class Take:
     def __init__(self, colour):
         self.rig = ring(4, size=(320, 240))
         self.camera = self.rig.cameras[CAMERA]
-        eye, body = VirtualCamera(self.camera), Body.from_stature(1.75)
-        empty = eye.empty_room_colour() if colour else eye.empty_room()
-        poses = MOTIONS["walk"](body, 2.0, 15.0).poses[10 : 10 + POSES]
-        people, outfit = [VolumetricBody(body).place(pose) for pose in poses], OUTFITS["middle"]
-        seen = [
-            eye.render_colour(person, outfit.albedo_bgr(person), floor_shadow(person, 0.5))
-            if colour
-            else eye.render(outfit.dress(person), floor_shadow(person, 0.5))
-            for person in people
-        ]
+        seen, empty = studio_walk(self.camera, slice(10, 10 + POSES), colour=colour)
         shots = (SENSOR.expose(empty, CAMERA, FIRST_BACKGROUND_FRAME + k) for k in range(30))
         self.background, self.truth = learned(shots), [mask for _, mask in seen]
         self.order = ([*range(POSES), *reversed(range(POSES))] * FRAMES)[:FRAMES]
