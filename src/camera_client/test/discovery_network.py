@@ -5,6 +5,7 @@ answer broadcasts arriving at "there", with whatever address they say they have.
 """
 
 import fcntl
+import ipaddress
 import pathlib
 import socket
 import struct
@@ -13,13 +14,11 @@ import sys
 import threading
 import time
 
-from discovery_records import discovery_answer
-
 from camera_client.gige import discovery
 from camera_client.gige.discovery import find_camera
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
-from gige_vision.gvcp import PORT, CommandPacket
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
 
 ETH_P_IP = 0x0800
 SIOCGIFFLAGS, IFF_RUNNING = 0x8913, 0x40
@@ -43,6 +42,18 @@ def discover_on(link):
 
 
 discovery.discover_on = discover_on
+
+
+def discovery_answer(address, serial="", user_id="", mac=bytes(6), subnet_mask="255.0.0.0", request_id=1):
+    """The acknowledge of a camera "Maker M" at an address, laid out by hand as the standard says."""
+    record = bytearray(0xF8)
+    texts = {0x48: "Maker", 0x68: "M", 0xD8: serial, 0xE8: user_id}
+    addresses = {0x24: address, 0x34: subnet_mask}
+    fields = {place: text.encode() for place, text in texts.items()}
+    fields |= {place: ipaddress.IPv4Address(text).packed for place, text in addresses.items()}
+    for place, field in {0x0A: mac, **fields}.items():
+        record[place : place + len(field)] = field
+    return AcknowledgePacket(0x0003, bytes(record), request_id).encode()
 
 
 def sh(command):

@@ -7,7 +7,7 @@ import pytest
 from gige_client import aravis_modules
 
 from capture_rig.errors import InputError
-from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
+from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera, free_address
 from virtual_studio.gige.device import Device
 from virtual_studio.gige.feature_table import feature_table
 from virtual_studio.gige.imaging import ImagingPipeline
@@ -34,10 +34,10 @@ def read_features(address, names):
     return found
 
 
-def test_every_feature_can_be_read_through_aravis(address):
-    with SimulatedCamera(address, PatternScene(colour=True)) as simulated:
+def test_every_feature_can_be_read_through_aravis():
+    with SimulatedCamera(free_address(), PatternScene(colour=True)) as simulated:
         features = {f.name: f for f in simulated.features if f.category}
-        found = read_features(address, features)
+        found = read_features(simulated.address, features)
         assert len(features) > 50 and found["DeviceVendorName"][0] == "Sagoma"
         for name, (value, choices) in found.items():
             if choices is not None:
@@ -81,8 +81,8 @@ def test_sensor_noise_has_the_deviation_that_was_set_and_stays_without_light():
     assert (dark == 0).mean() == pytest.approx(0.55, abs=0.08)  # the negative half of the noise is cut off
 
 
-def test_power_cycle_forgets_settings_but_not_the_user_s_name(address):
-    with SimulatedCamera(address, PatternScene(), CameraSettings(user_id="left")) as camera:
+def test_power_cycle_forgets_settings_but_not_the_user_s_name():
+    with SimulatedCamera(free_address(), PatternScene(), CameraSettings(user_id="left")) as camera:
         camera.loop.call(lambda: camera.registers.__setitem__("ExposureTime", 9000.0))
         camera.loop.call(lambda: camera.registers.__setitem__("DeviceUserID", "right"))
         camera.power_off()
