@@ -1,6 +1,7 @@
 """A small camera, an empty scene it looks at, and ways to write both as footage."""
 
 import types
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -25,6 +26,12 @@ def camera(name="cam01", distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
     T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     T[:3, 3] = T[:3, :3] @ -np.array([0.0, -4.0, 1.2])
     return CameraModel(name, WIDTH, HEIGHT, K, "plumb_bob", np.array(distortion), T)
+
+
+def calibrated():
+    """The same camera after another calibration: longer lens, some distortion."""
+    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
+    return replace(camera(), K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
 
 
 def write_video(path, images, fps=FPS):
@@ -81,6 +88,7 @@ def scene():
     """The helpers above as one object."""
     return types.SimpleNamespace(
         camera=camera,
+        calibrated=calibrated,
         write_video=write_video,
         empty=empty_scene,
         person_mask=person_mask,

@@ -3,7 +3,6 @@
 import copy
 import socket
 import time
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -27,7 +26,9 @@ from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 ABSENT = "127.0.0.78"  # no camera answers here
 
 
-def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene):
+def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("camera_client.camera_ros.outline", lambda image, mask: drawn.append(1) or image)
     camera = bench(**session.parameters).start()
     camera.until(lambda: len(camera.masks) == FRAMES and len(camera.heard["camera_info"]) == FRAMES)
     expected = [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(FRAMES)]
@@ -41,6 +42,7 @@ def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, 
     assert (info.width, info.height) == (canvas.width, canvas.height)
     assert not any(info.d) and np.allclose(np.array(info.k).reshape(3, 3), canvas.K)
     assert camera.peer.count_subscribers("/hull/thinning") == 0  # it goes as fast as it is answered, by no rule
+    assert not drawn  # no preview, for nobody looks
 
 
 def test_camera_without_a_name_takes_the_namespace(bench, session, scene):
@@ -193,14 +195,6 @@ def test_raw_images_are_published_on_request_and_previews_to_who_subscribes(benc
     assert 30 < green.sum() < 400
 
 
-def test_no_preview_is_drawn_while_nobody_looks(bench, session, monkeypatch):
-    drawn = []
-    monkeypatch.setattr("camera_client.camera_ros.outline", lambda image, mask: drawn.append(1) or image)
-    camera = bench(**session.parameters).start()
-    camera.until(lambda: len(camera.masks) == FRAMES)
-    assert not drawn
-
-
 @pytest.mark.parametrize(
     "changed, text",
     [
@@ -229,19 +223,13 @@ def test_configure_fails_with_a_clear_error(bench, session, scene, changed, text
     assert camera.node.source is None
 
 
-def calibrated(camera):
-    """Another calibration of the same camera: longer lens, some distortion."""
-    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
-    return replace(camera, K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
-
-
 def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session, scene):
     path = session.folder / "info.yaml"
     camera = bench(2, **{**session.parameters, "camera_info_file": str(path)})
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: len(camera.heard["camera_info"]) == 2)
-    wanted = calibrated(scene.camera())
+    wanted = scene.calibrated()
     answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
     assert answer.success and f"saved to {path}" in answer.status_message
     camera.acknowledging = True
@@ -260,7 +248,7 @@ def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session
 
 def test_set_camera_info_that_does_not_fit_changes_nothing(bench, session, scene):
     camera = bench(**{**session.parameters, "camera_info_file": str(session.folder / "info.yaml")})
-    fits = camera_info_message(calibrated(scene.camera()), 0, "cam01_optical")
+    fits = camera_info_message(scene.calibrated(), 0, "cam01_optical")
     answer = set_camera_info(camera, fits)
     assert not answer.success and "not configured" in answer.status_message
     camera.start()
