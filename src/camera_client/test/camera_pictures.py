@@ -55,7 +55,7 @@ def frames_of(source, count):
     return frames
 
 
-def taken(source, count=30):
+def taken(source, count=15):
     """The first so many frames of a source, which is closed again."""
     with source:
         source.start()

@@ -134,6 +134,8 @@ def bench(open_probe, monkeypatch):
     """
     monkeypatch.setattr("camera_client.camera_node.REPORT_PERIOD_S", 0.05)
     monkeypatch.setattr("camera_client.camera_node.CONSUMER_WAIT_S", DEADLINE_S)
+    monkeypatch.setattr("camera_client.camera_node.SETTLE_S", 0.0)  # of nodes in one process
+    monkeypatch.setattr("camera_client.sources.footage_source.LEAD_NS", 10**8)
     monkeypatch.setattr("camera_client.sources.footage_source.PATIENCE_S", 600.0)
 
     def open_bench(window=10, **parameters):

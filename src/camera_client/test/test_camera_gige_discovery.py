@@ -23,7 +23,9 @@ NETWORK_SCRIPT = pathlib.Path(__file__).with_name("discovery_network.py")
 
 
 @pytest.fixture
-def listener():
+def listener(monkeypatch):
+    """A socket where a camera would answer; who asks it gives up soon."""
+    monkeypatch.setattr(discovery, "ANSWER_TIMEOUT_S", 0.1)
     address = free_address()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind((address, PORT))
