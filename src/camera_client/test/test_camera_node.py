@@ -82,9 +82,8 @@ def test_camera_that_starts_late_plays_by_the_clock_of_the_others_and_tells_it(b
     clock = TimeReference(time_ref=to_stamp(epoch_ns), source="cam02")
     clock.header.stamp = to_stamp(time.time_ns() - round(late_s * 1e9))
     others.publish(clock)
-    camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED).publish(
-        TimeReference()
-    )  # of no clock at all
+    stranger = camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED)
+    stranger.publish(TimeReference())  # of no clock at all
     camera.start()
     camera.until(lambda: any(to_ns(mask.header.stamp) < epoch_ns + 10**12 for mask in camera.masks))
     stamps = [stamp for stamp in camera.stamps_ns() if stamp < epoch_ns + 10**12]  # before it heard, by its own clock
@@ -273,21 +272,18 @@ def test_what_the_others_do_not_see_becomes_background(bench, session, scene):
     images = [scene.with_person(image, thing) for image in scene.empty(30, seed=5)]
     path = scene.write_video(session.folder / "thing.avi", images)
     camera = bench(1, **session.parameters | {"footage.path": path, "footage.fps": 5.0})
-    reports, canvas = (
-        camera.peer.create_publisher(Image, "silhouette/support", RESULT),
-        scene.camera().undistorted_view(),
-    )
+    reports = camera.peer.create_publisher(Image, "silhouette/support", RESULT)
+    canvas = scene.camera().undistorted_view().camera
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: reports.get_subscription_count() == 1 == camera.predictions.get_subscription_count())
     for count in range(1, 31):
         camera.until(lambda count=count: len(camera.masks) == count)
         stamp_ns = camera.stamps_ns()[-1]
-        cells = np.full((canvas.camera.height // 8, canvas.camera.width // 8), NOBODY, np.uint8)
+        cells = np.full((canvas.height // 8, canvas.width // 8), NOBODY, np.uint8)
         reports.publish(support_message(ForegroundSupport(stamp_ns, "cam01", 8, cells)))
         camera.acknowledge(stamp_ns)
-    size = canvas.camera.width, canvas.camera.height
-    first, last = (decode_silhouette(camera.masks[k], *size, "test") for k in (0, -1))
+    first, last = (decode_silhouette(camera.masks[k], canvas.width, canvas.height, "test") for k in (0, -1))
     assert (first[thing > 0] > 0).mean() > 0.9 and not last.any()
 
 
