@@ -4,7 +4,6 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from gige_client import aravis_modules
 
 from capture_rig.errors import InputError
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera, free_address
@@ -19,7 +18,10 @@ def read_features(address, names):
 
     It lets go of the camera at the end; when the camera was switched off before, that would take it seconds.
     """
-    Aravis, Gio, _ = aravis_modules()
+    gi = pytest.importorskip("gi", reason="PyGObject is not installed: apt install python3-gi gir1.2-aravis-0.8")
+    gi.require_version("Aravis", "0.8")
+    from gi.repository import Aravis, Gio
+
     inet = Gio.InetAddress.new_from_string
     device = Aravis.GvDevice.new(inet("127.0.0.1"), inet(address))
     camera, found = Aravis.Camera.new_with_device(device), {}

@@ -27,10 +27,6 @@ def client(camera):
         yield client
 
 
-def address_of(camera, key):
-    return next(f.address for f in camera.features if f.name == key)
-
-
 def test_nobody_writes_without_control(camera, client):
     assert client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.ACCESS_DENIED
     assert client.take_control() == Status.SUCCESS
@@ -75,14 +71,11 @@ def test_address_is_taken_while_a_camera_is_on_and_free_when_it_is_off(camera):
         assert DeviceRecord.decode(client.ask(Command.DISCOVERY).payload).serial == "OTHER"
 
 
-def arm_action(camera, client):
-    client.take_control()
-    for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 6)):
-        assert client.write(address_of(camera, key), value) == 0
-
-
 def test_action_for_others_is_not_answered(camera, client):
-    arm_action(camera, client)
+    client.take_control()
+    at = {feature.name: feature.address for feature in camera.features}
+    for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 6)):
+        assert client.write(at[key], value) == 0
     for stranger in (Action(9, 2, 6, 0), Action(1, 9, 6, 0), Action(1, 2, 8, 0)):
         client.send_packet(stranger.command())
     assert client.is_silent()
