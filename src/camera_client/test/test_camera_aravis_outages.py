@@ -18,14 +18,17 @@ def test_camera_that_is_off_is_awaited_and_a_power_cut_in_the_middle_of_a_frame_
     assert status.level == status.ERROR and simulated.address in status.message
     simulated.power_on()
     camera.until(lambda: camera.values()["link"] == "streaming" and "last_outage_s" in camera.values())
-    before, sent = camera.values(), simulated.counters["frames_sent"]
-    camera.until(lambda: simulated.counters["frames_sent"] > sent)
-    simulated.power_off()
-    camera.until_said("no camera: ")
-    simulated.power_on()
-    camera.until(lambda: camera.values()["last_outage_s"] != before["last_outage_s"])  # frames come again
-    after = camera.values()
-    more = {key: float(after[key]) - float(before[key]) for key in ("incomplete", "reconnects", "downtime_s")}
+    for _ in range(5):  # on a busy machine the power may go between two frames
+        before, sent = camera.values(), simulated.counters["frames_sent"]
+        camera.until(lambda sent=sent: simulated.counters["frames_sent"] > sent)
+        simulated.power_off()
+        camera.until_said("no camera: ")
+        simulated.power_on()
+        camera.until(lambda last=before["last_outage_s"]: camera.values()["last_outage_s"] != last)  # frames come again
+        after = camera.values()
+        more = {key: float(after[key]) - float(before[key]) for key in ("incomplete", "reconnects", "downtime_s")}
+        if more["incomplete"]:
+            break
     assert more["incomplete"] > 0 and more["reconnects"] > 0
     assert more["downtime_s"] > float(after["last_outage_s"]) - 0.1
     expected, *parts = (int(after[key]) for key in ("expected", "delivered", "incomplete", "lost"))
