@@ -79,7 +79,6 @@ SHARED_DATA = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve()
 
 # whole graphs and simulated cameras keep time by the machine's clock: they never run beside each other
 _REAL_TIME = (
-    "tests/test_camera_drills.py",
     "tests/test_graph_live.py",
     "tests/test_people_live.py",
     "tests/test_studio_graph.py",

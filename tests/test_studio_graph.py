@@ -12,7 +12,7 @@ from sagoma_tools.evaluation.track import clock_of_bag
 from sagoma_tools.graph.topics import PREDICTION_TOPIC
 from sagoma_tools.recording.reader import read_messages
 
-CAMERA_FPS, SPEED, BACKGROUND_FRAMES = 20.0, 0.25, 20
+CAMERA_FPS, SPEED, BACKGROUND_FRAMES = 10.0, 0.5, 10
 QUICK = {"cameras.background_frames": BACKGROUND_FRAMES}
 
 

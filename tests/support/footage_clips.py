@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import struct
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -55,8 +56,9 @@ def with_late_frames(path: Path, regular: int, late: int) -> Path:
     return path
 
 
-def scene(count: int, width: int = 644, height: int = 486, seed: int = 0) -> list[np.ndarray]:
-    """Noisy grey pictures (h, w) of a textured wall before which a bright square moves by 6 pixels a frame."""
+@cache
+def scene(count: int, width: int = 644, height: int = 486, seed: int = 0) -> tuple[np.ndarray, ...]:
+    """Read-only, noisy grey pictures (h, w) of a textured wall; a bright square before it moves by 6 pixels a frame."""
     rng = np.random.default_rng(seed)
     wall = 90.0 + 400.0 * cv2.GaussianBlur(rng.normal(0.0, 1.0, (height, width)), (0, 0), 3.0)
     pictures = []
@@ -64,7 +66,7 @@ def scene(count: int, width: int = 644, height: int = 486, seed: int = 0) -> lis
         picture = wall + rng.normal(0.0, 3.0, wall.shape)
         picture[100:160, 40 + 6 * frame : 100 + 6 * frame] = 220.0
         pictures.append(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
-    return pictures
+    return tuple(pictures)
 
 
 def place_of_square(image: np.ndarray) -> float:

@@ -1,6 +1,7 @@
 """A small camera, an empty scene it looks at, and ways to write both as footage."""
 
 import types
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -25,6 +26,12 @@ def camera(name="cam01", distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
     T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     T[:3, 3] = T[:3, :3] @ -np.array([0.0, -4.0, 1.2])
     return CameraModel(name, WIDTH, HEIGHT, K, "plumb_bob", np.array(distortion), T)
+
+
+def calibrated():
+    """The same camera after another calibration: longer lens, some distortion."""
+    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
+    return replace(camera(), K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
 
 
 def write_video(path, images, fps=FPS):
@@ -81,6 +88,7 @@ def scene():
     """The helpers above as one object."""
     return types.SimpleNamespace(
         camera=camera,
+        calibrated=calibrated,
         write_video=write_video,
         empty=empty_scene,
         person_mask=person_mask,
@@ -97,7 +105,8 @@ def gige_camera():
     """``gige_camera(scene, loop=..., **settings)``: a simulated GigE Vision camera on a loopback address of its own.
 
     Its pictures are numbered and carry the instant of mid-exposure, unless another scene is given. Skips where Aravis
-    is not installed. All cameras are switched off at the end.
+    is not installed. All cameras are switched off at the end: ask for it before the node that uses it, which closes
+    first then and does not wait for dead cameras.
     """
     try:
         import_aravis()
@@ -125,6 +134,8 @@ def bench(open_probe, monkeypatch):
     """
     monkeypatch.setattr("camera_client.camera_node.REPORT_PERIOD_S", 0.05)
     monkeypatch.setattr("camera_client.camera_node.CONSUMER_WAIT_S", DEADLINE_S)
+    monkeypatch.setattr("camera_client.camera_node.SETTLE_S", 0.0)  # of nodes in one process
+    monkeypatch.setattr("camera_client.sources.footage_source.LEAD_NS", 10**8)
     monkeypatch.setattr("camera_client.sources.footage_source.PATIENCE_S", 600.0)
 
     def open_bench(window=10, **parameters):
@@ -134,16 +145,24 @@ def bench(open_probe, monkeypatch):
     return open_bench
 
 
-@pytest.fixture
-def session(tmp_path, scene):
-    """Rig, video of a person, background video, and the parameters that play them as fast as they are acknowledged."""
-    images = [scene.with_person(image) for image in scene.empty(FRAMES, seed=5)]
-    parameters = {
+@pytest.fixture(scope="session")
+def footage(tmp_path_factory):
+    """Rig, background and video of a person, written once: parameters that play it as fast as it is acknowledged."""
+    folder = tmp_path_factory.mktemp("footage")
+    return {
         "camera_name": "cam01",
-        "rig_file": scene.write_rig(tmp_path / "rig.yaml", scene.camera(), scene.camera("cam02")),
-        "background": scene.write_video(tmp_path / "bg.avi", scene.empty(40)),
-        "footage.path": scene.write_video(tmp_path / "cam01.avi", images),
+        "rig_file": write_rig(folder / "rig.yaml", camera(), camera("cam02")),
+        "background": write_video(folder / "bg.avi", empty_scene(40)),
+        "footage.path": write_video(
+            folder / "cam01.avi", [with_person(image) for image in empty_scene(FRAMES, seed=5)]
+        ),
         "footage.epoch_ns": EPOCH_NS,
         "footage.rate": 0.0,
     }
-    return types.SimpleNamespace(folder=tmp_path, images=images, parameters=parameters, truth=scene.person_mask())
+
+
+@pytest.fixture
+def session(tmp_path, footage):
+    """Parameters that play the common footage, its pictures, where the person is, and a folder of the test's own."""
+    images = [with_person(image) for image in empty_scene(FRAMES, seed=5)]
+    return types.SimpleNamespace(folder=tmp_path, images=images, parameters=footage, truth=person_mask())

@@ -4,25 +4,21 @@ Two pairs of interfaces: "here" with cameras at its other end "there", "other" w
 answer broadcasts arriving at "there", with whatever address they say they have.
 """
 
-import fcntl
+import ipaddress
 import pathlib
 import socket
-import struct
 import subprocess
 import sys
 import threading
 import time
 
-from discovery_records import discovery_answer
-
 from camera_client.gige import discovery
 from camera_client.gige.discovery import find_camera
 from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
-from gige_vision.gvcp import PORT, CommandPacket
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
 
 ETH_P_IP = 0x0800
-SIOCGIFFLAGS, IFF_RUNNING = 0x8913, 0x40
 PATIENCE_S = 20.0  # only ever used up by a failing test
 LISTEN_S = 0.15  # these cameras answer at once, when the machine has time for them
 CAMERAS = [
@@ -43,6 +39,18 @@ def discover_on(link):
 
 
 discovery.discover_on = discover_on
+
+
+def discovery_answer(address, serial="", user_id="", mac=bytes(6), subnet_mask="255.0.0.0", request_id=1):
+    """The acknowledge of a camera "Maker M" at an address, laid out by hand as the standard says."""
+    record = bytearray(0xF8)
+    texts = {0x48: "Maker", 0x68: "M", 0xD8: serial, 0xE8: user_id}
+    addresses = {0x24: address, 0x34: subnet_mask}
+    fields = {place: text.encode() for place, text in texts.items()}
+    fields |= {place: ipaddress.IPv4Address(text).packed for place, text in addresses.items()}
+    for place, field in {0x0A: mac, **fields}.items():
+        record[place : place + len(field)] = field
+    return AcknowledgePacket(0x0003, bytes(record), request_id).encode()
 
 
 def sh(command):
@@ -66,14 +74,9 @@ def make_network():
 def wait_until_running(name):
     """The kernel brings a link up a while after it was told to, and drops what is sent until then."""
     deadline_s = time.monotonic() + PATIENCE_S
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        while True:
-            answer = fcntl.ioctl(any_socket.fileno(), SIOCGIFFLAGS, struct.pack("256s", name.encode()))
-            if struct.unpack_from("H", answer, 16)[0] & IFF_RUNNING:
-                return
-            if time.monotonic() > deadline_s:
-                sys.exit(f"the link {name} did not run within {PATIENCE_S:g} s")
-            time.sleep(0.005)
+    while "state UP" not in subprocess.check_output(["ip", "link", "show", name], text=True):
+        if time.monotonic() > deadline_s:
+            sys.exit(f"the link {name} did not run within {PATIENCE_S:g} s")
 
 
 def serve_cameras():

@@ -188,12 +188,12 @@ def test_lost_packets_are_asked_for_again(gige_camera):
     with source_of(camera, frame_rate=100.0, packet_size=1000) as source:
         source.start()
         camera.faults.packet_loss = 0.02
-        frames = frames_of(source, 60)
+        frames = frames_of(source, 40)
         source.stop()
     assert source.counters["resent_packets"] > 10
     truth = [PatternScene(256, 192).picture(*PatternScene.read(frame.image)) for frame in frames]
     assert all((frame.image == picture).all() for frame, picture in zip(frames, truth, strict=True))
-    assert source.statistics.delivered == 60
+    assert source.statistics.delivered == 40
 
 
 def test_every_frame_is_accounted_for_when_the_camera_cannot_resend(gige_camera):
@@ -203,13 +203,13 @@ def test_every_frame_is_accounted_for_when_the_camera_cannot_resend(gige_camera)
         assert any("lost packets" in warning for warning in source.warnings)
         source.start()
         camera.faults.packet_loss = 0.1  # of 9 packets, the leader among them
-        frames_of(source, 40)
+        frames_of(source, 15)
         camera.faults.packet_loss = 0.0
         last = frames_of(source, 3)[-1]
         source.stop()
     statistics = source.statistics
     assert statistics.expected == last.frame_id == statistics.delivered + statistics.incomplete + statistics.lost
-    assert statistics.incomplete > 10 and statistics.delivered == 43
+    assert statistics.incomplete > 5 and statistics.delivered == 18
 
 
 def test_frames_that_nobody_fetches_are_lost_and_counted(gige_camera):

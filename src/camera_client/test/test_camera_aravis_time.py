@@ -17,6 +17,7 @@ MS = 1_000_000
 RATE = 50.0
 PERIOD_NS = 20 * MS
 SETTLE_S = 0.1  # of the cameras' PTP
+COUNT = 15  # frames of each camera that are compared
 
 
 def source_of(camera, **settings):
@@ -50,7 +51,7 @@ def test_ptp_gives_mid_exposure_in_utc(gige_camera):
 
 @pytest.mark.parametrize("stamp_source", ["camera", "ptp"])
 def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, stamp_source):
-    speed, clock = 0.25, CaptureClock(0.25)
+    speed, clock = 0.5, CaptureClock(0.5)
     loop = EventLoop("slow", clock)
     loop.start()
     camera = gige_camera(loop=loop, ptp_settle_s=SETTLE_S)
@@ -65,15 +66,15 @@ def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, s
         loop.stop()
 
 
-@pytest.mark.parametrize("stamp_source, jump_s", [("camera", -1), ("ptp", 3)])
-def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_source, jump_s):
+@pytest.mark.parametrize("stamp_source, jump_ms", [("camera", -300), ("ptp", 3000)])
+def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_source, jump_ms):
     camera = gige_camera(ptp_settle_s=SETTLE_S)
     with source_of(camera, stamp_source=stamp_source) as source:
         source.start()
-        frames = frames_of(source, 40)  # its counter has to be further than the jump back
-        camera.faults.stamp_jump_ns = jump_s * 1000 * MS
+        frames = frames_of(source, 20)  # its counter has to be further than the jump back
+        camera.faults.stamp_jump_ns = jump_ms * MS
         sent = camera.counters["frames_sent"]
-        frames += frames_of(source, 30)
+        frames += frames_of(source, 15)
     after = [frame for frame in frames if frame.frame_id > sent + 2]
     assert source.counters["stamp_jumps"] == 1
     claimed_ns = np.array([frame.uncertainty_ns for frame in after])  # a busy machine hears late of the jump
@@ -85,12 +86,12 @@ def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_sou
 # --- synchronisation ---------------------------------------------------------------------------------------------
 
 
-def instants_of(sources, count=25):
+def instants_of(sources):
     """True instants of mid-exposure, (cameras, frames), ns, of the frames that all cameras have taken."""
     seen = [{} for _ in sources]
 
     def collect(source, instants):
-        for frame in frames_of(source, count):
+        for frame in frames_of(source, COUNT):
             instant_ns = PatternScene.read(frame.image)[1]
             instants[round(instant_ns / PERIOD_NS)] = instant_ns
 
@@ -100,7 +101,7 @@ def instants_of(sources, count=25):
     for thread in threads:
         thread.join()
     common = set.intersection(*(set(instants) for instants in seen))
-    assert len(common) >= count // 3, [len(instants) for instants in seen]
+    assert len(common) >= COUNT // 3, [len(instants) for instants in seen]
     return np.array([[instants[number] for number in sorted(common)] for instants in seen])
 
 
@@ -144,7 +145,7 @@ def test_ptp_exposes_at_multiples_of_the_period_of_the_ptp_clock(three_cameras):
 def test_action_commands_expose_all_cameras_at_the_scheduled_instant(three_cameras):
     sources, instants_ns = run_in("action", three_cameras[0], action_lead_ms=300.0)
     assert_begin_at_multiples_of_ptp_time(instants_ns)
-    assert all(source.counters["actions"] >= 25 for source in sources)
+    assert all(source.counters["actions"] >= COUNT for source in sources)
     assert all(source.counters["actions_refused"] == 0 for source in sources)
 
 
@@ -160,7 +161,7 @@ def test_software_triggers_come_at_multiples_of_the_period_of_the_host_clock(thr
     sources, instants_ns = run_in("software", three_cameras[0])
     late_ns = (instants_ns - MS // 2) % PERIOD_NS
     assert np.median(late_ns) < 5 * MS  # as late as network and scheduling make it, but never early
-    assert all(source.counters["triggers"] >= 25 for source in sources)
+    assert all(source.counters["triggers"] >= COUNT for source in sources)
 
 
 def test_actions_that_come_too_late_or_without_ptp_are_refused_by_the_camera_and_counted(gige_camera):

@@ -58,19 +58,6 @@ def test_movement_is_located_and_graded_by_its_size(scene, change, grade, text):
     assert verdict.grade == grade and text in str(verdict) and "clear the scene" in str(verdict)
 
 
-@pytest.mark.parametrize("frames, grade", [(5, USABLE), (25, GOOD)])
-def test_few_frames_are_usable_only(scene, frames, grade):
-    assert verdict_on(scene.empty(frames)).grade == grade
-
-
-@pytest.mark.parametrize("rows, grade", [(1, GOOD), (12, USABLE), (60, REDO)])
-def test_white_parts_are_weighed_by_their_size(scene, rows, grade):
-    images = scene.empty(30)
-    for image in images:
-        image[:rows] = 255
-    assert verdict_on(images).grade == grade
-
-
 def cap(scene):
     rng = np.random.default_rng(0)
     return [rng.integers(0, 5, (120, 160), dtype=np.uint8) for _ in range(30)]
@@ -79,18 +66,27 @@ def cap(scene):
 FLICKER = 1 + 0.04 * np.sin(np.arange(60) * 1.9)  # standard deviation 2.8 %
 
 
-@pytest.mark.parametrize(
-    "images, grade, texts",
-    [
-        (cap, REDO, ["lens cap"]),
-        (lambda scene: scaled(scene.empty(30), [0.2] * 30), USABLE, ["dim, 26 grey levels", "exposure"]),
-        (lambda scene: scene.empty(40, noise=9.0), USABLE, ["noise is high, 8.9"]),
-        (lambda scene: scaled(scene.empty(60), FLICKER), USABLE, ["flickers by 2.8 %", "10 ms at 50 Hz"]),
-        (lambda scene: scaled(scene.empty(60), np.linspace(1, 1.06, 60)), USABLE, ["changed by +5."]),
-    ],
-    ids=["lens cap", "dim", "noisy", "mains", "lamps that warm up"],
-)
-def test_light_and_noise_are_judged_with_a_remedy(scene, images, grade, texts):
+def white(rows):
+    """The scene with a window of so many rows, of 120."""
+    return lambda scene: [np.vstack([np.full((rows, 160), 255, np.uint8), image[rows:]]) for image in scene.empty(30)]
+
+
+JUDGED = {
+    "enough": (lambda scene: scene.empty(25), GOOD, []),
+    "few": (lambda scene: scene.empty(5), USABLE, ["too few pictures"]),
+    "white line": (white(1), GOOD, []),
+    "white window": (white(12), USABLE, []),
+    "half white": (white(60), REDO, []),
+    "lens cap": (cap, REDO, ["lens cap"]),
+    "dim": (lambda scene: scaled(scene.empty(30), [0.2] * 30), USABLE, ["dim, 26 grey levels", "exposure"]),
+    "noisy": (lambda scene: scene.empty(40, noise=9.0), USABLE, ["noise is high, 8.9"]),
+    "mains": (lambda scene: scaled(scene.empty(60), FLICKER), USABLE, ["flickers by 2.8 %", "10 ms at 50 Hz"]),
+    "warming up": (lambda scene: scaled(scene.empty(60), np.linspace(1, 1.06, 60)), USABLE, ["changed by +5."]),
+}
+
+
+@pytest.mark.parametrize("images, grade, texts", JUDGED.values(), ids=JUDGED)
+def test_frames_light_and_noise_are_judged_with_a_remedy(scene, images, grade, texts):
     verdict = verdict_on(images(scene))
     assert verdict.grade == grade and all(text in str(verdict) for text in texts)
     assert ("flickers" in str(verdict)) == ("flickers by 2.8 %" in texts)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from camera_pictures import iou, learned
+from camera_pictures import SENSOR, iou, learned, studio_walk
 
 from camera_client.background.model import load_background
 from camera_client.configuration import check_size
@@ -17,15 +17,10 @@ from camera_client.settings import CameraClientSettings
 from camera_client.silhouettes.pipeline import outline
 from capture_rig.errors import InputError
 from sagoma_ros.images import decode_silhouette
-from stick_figure.body import Body
-from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.people import OUTFITS, VolumetricBody
 from virtual_studio.recording.session import FIRST_BACKGROUND_FRAME
-from virtual_studio.rendering.camera import Sensor, VirtualCamera
-from virtual_studio.rendering.capsules import floor_shadow
+from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
-SENSOR = Sensor(noise=2.0, flicker=0.005, seed=13)
 ANY_PIXEL_M = 1.0
 
 
@@ -49,12 +44,9 @@ def mosaic(image):
 @pytest.mark.parametrize("outfit", ["middle", "dark"])
 def test_tiles_give_better_silhouettes_than_the_interpolated_mosaic_at_half_the_size(outfit, monkeypatch):
     monkeypatch.setattr("capture_rig.visibility.MOST_PIXEL_M", ANY_PIXEL_M)
-    rig, body = ring(4, size=(640, 480)), Body.from_stature(1.75)
-    camera, found = rig.cameras[1], {}
-    eye = VirtualCamera(camera)
-    people = [VolumetricBody(body).place(pose) for pose in MOTIONS["walk"](body, 2.0, 15.0).poses[12:18]]
-    seen = [eye.render_colour(each, OUTFITS[outfit].albedo_bgr(each), floor_shadow(each, 0.5)) for each in people]
-    room = eye.empty_room_colour()
+    rig, found = ring(4, size=(640, 480)), {}
+    camera = rig.cameras[1]
+    seen, room = studio_walk(camera, slice(12, 18), outfit, colour=True)
     for halved in (False, True):
 
         def picture(light, number, halved=halved):
@@ -95,7 +87,7 @@ def test_camera_that_turns_is_found_in_pictures_of_half_the_size():
 
 @pytest.mark.parametrize("raw", [False, True], ids=["silhouettes alone", "images too"])
 def test_client_makes_whole_images_only_where_somebody_takes_them(
-    raw, bench, gige_camera, scene, tmp_path, monkeypatch
+    raw, gige_camera, bench, scene, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("capture_rig.visibility.MOST_PIXEL_M", ANY_PIXEL_M)
     simulated = gige_camera(StillRoom(scene.empty(50, colour=True)))
@@ -109,10 +101,8 @@ def test_client_makes_whole_images_only_where_somebody_takes_them(
     shape = scene.height // factor, scene.width // factor, 3
     assert camera.node.source.shape == load_background(saved).shape == shape
     canvas = scene.camera().undistorted_view().camera
-    assert decode_silhouette(camera.masks[0], canvas.width, canvas.height, "test").shape == (
-        canvas.height,
-        canvas.width,
-    )
+    mask = decode_silhouette(camera.masks[0], canvas.width, canvas.height, "test")
+    assert mask.shape == (canvas.height, canvas.width)
 
 
 def test_background_of_another_size_says_what_to_do(scene):

@@ -1,5 +1,7 @@
 """Boxes, the search for dense foreground, and undistortion of a box: the same result as for the whole image."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,6 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from camera_client.background.adaptive import FixedBackground
-from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.background.verdict import HAND
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
@@ -24,7 +25,6 @@ from camera_client.silhouettes.masks import (
 )
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene
-from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE, UNCERTAIN
 from capture_rig.rig import Volume
 
@@ -98,15 +98,7 @@ def whole_image(camera, background, image, settings):
 
 def larger(camera, factor):
     K = camera.K * [[factor], [factor], [1]]
-    return CameraModel(
-        camera.name,
-        camera.width * factor,
-        camera.height * factor,
-        K,
-        camera.distortion_model,
-        camera.D,
-        camera.T_camera_world,
-    )
+    return replace(camera, width=camera.width * factor, height=camera.height * factor, K=K)
 
 
 @pytest.mark.parametrize("colour", [False, True])
@@ -130,14 +122,6 @@ def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour)
         assert (expected == 255).any() and (expected == SHADOW_CANDIDATE).any()
         assert silhouette.foreground_fraction == pytest.approx((expected == 255).mean())
         assert silhouette.candidate_fraction == pytest.approx((expected == SHADOW_CANDIDATE).mean())
-
-
-def test_image_full_of_foreground_and_one_without_any_are_taken(scene):
-    flat = np.full((120, 160), 100, np.float32)
-    model = BackgroundModel(flat, np.full_like(flat, 2.0), Provenance("test", 10, 2.0))
-    pipeline = SilhouettePipeline(scene.camera(), model)
-    assert (pipeline.run(np.full((120, 160), 255, np.uint8)).image_mask == 255).all()
-    assert not pipeline.run(np.full((120, 160), 100, np.uint8)).mask.any()
 
 
 # --- Which parts of a raw mask are kept.
@@ -229,18 +213,6 @@ def test_majority_equals_the_median_of_a_mask(side):
     rng = np.random.default_rng(side)
     mask = np.where(rng.random((97, 131)) < 0.45, np.uint8(255), np.uint8(0))
     assert np.array_equal(majority(mask, side), mask if side == 1 else cv2.medianBlur(mask, side))
-
-
-def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
-    locator = ForegroundLocator((40, 64), 10.0, 1)
-    locator.dense[:] = 0
-    locator.dense[1, 2] = locator.dense[1, 5] = locator.dense[3, 3] = 1
-    rows, columns = locator.spans((slice(4, 40), slice(12, 60)), 0)
-    assert np.flatnonzero(rows[:, 1]).tolist() == [*range(4, 12), *range(20, 28)]
-    assert rows[4].tolist() == [4, 36] and rows[20].tolist() == [12, 20]
-    assert columns[4].tolist() == [4, 12] and columns[13].tolist() == [20, 28] and columns[40].tolist() == [0, 0]
-    wider = locator.spans((slice(4, 40), slice(12, 60)), 1)
-    assert wider[0][4].tolist() == [0, 44] and wider[1][20].tolist() == [0, 36]
 
 
 @pytest.mark.parametrize("colour", [False, True])

@@ -175,28 +175,21 @@ def test_background_learned_anew_after_a_bump_remembers_the_turn_until_the_camer
     assert turn_when_learned(about, moved(camera, turn_deg)) == pytest.approx(np.zeros(3))  # calibrated where it stands
 
 
-def chain_of(number=1):
-    processor = FrameProcessor(studio_camera(number), CameraClientSettings(), ring(5).volume)
-    processor.use_learned_background(background(number))
-    return processor
-
-
-def seen(processor, image, look):
-    return processor.run(Frame(image, (look + 1) * PERIOD_NS, look, "a test"))
-
-
 def test_chain_names_the_bumped_camera_while_its_silhouette_floods_and_after_it_learned_the_background_again():
-    processor = chain_of()
-    for number in range(3):
-        result = seen(processor, picture(frame=number), number)
-    honest = result.silhouette.foreground_fraction
-    for number in range(3, 6):
-        result = seen(processor, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
+    processor, turn_deg = FrameProcessor(studio_camera(), CameraClientSettings(), ring(5).volume), (0, 2.0, 0)
+    processor.use_learned_background(background())
+
+    def shown(looks, **where):
+        for k in looks:
+            result = processor.run(Frame(picture(frame=k, **where), (k + 1) * PERIOD_NS, k, "a test"))
+        return result
+
+    honest = shown(range(3)).silhouette.foreground_fraction
+    result = shown(range(3, 6), turn_deg=turn_deg)
     assert result.silhouette.foreground_fraction > honest + 0.005
     assert result.movement.state is MovementState.MOVED
-    processor.use_learned_background(background(turn_deg=(0, 2.0, 0)))
-    for number in range(6, 10):
-        result = seen(processor, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
+    processor.use_learned_background(background(turn_deg=turn_deg))
+    result = shown(range(6, 10), turn_deg=turn_deg)
     assert result.silhouette.foreground_fraction < 0.01
     assert result.movement.state is MovementState.MOVED and result.movement.swing_deg == pytest.approx(2.0, abs=0.05)
 

@@ -10,7 +10,7 @@ import pytest
 
 from camera_client.background.adaptive import samples_of
 from camera_client.background.kernels import STEP_PX
-from camera_client.background.moved_evidence import APPLY_AFTER_S, SupportHistory, is_calm_inside, was_taken_away
+from camera_client.background.moved_evidence import APPLY_AFTER_S, SupportHistory
 from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
 from camera_client.background.verdict import find_regions
 from capture_rig.camera import CameraModel
@@ -241,16 +241,6 @@ def test_thing_taken_away_beside_a_person_is_absorbed_without_her():
     foreground = room.watch(with_person(plain), 4, level_map(NOBODY, (beside, BODY)))
     assert share(foreground, (slice(150, 215), slice(236, 275))) < 0.02
     assert share(foreground, PERSON) > 0.85
-
-
-def test_outline_of_a_thing_that_stands_there_is_in_the_picture():
-    plain = np.rint(wall()).astype(np.uint8)
-    thing = np.rint(with_thing(wall(), THING)).astype(np.uint8)
-    blob = np.zeros((HEIGHT, WIDTH), np.uint8)
-    blob[THING] = 255
-    somebody = np.rint(with_person(wall(), place=(slice(65, 105), slice(50, 70)))).astype(np.uint8)
-    assert was_taken_away(blob, blob, plain, thing, NOISE) and not was_taken_away(blob, blob, thing, plain, NOISE)
-    assert is_calm_inside(blob, plain, NOISE) and not is_calm_inside(blob, somebody, NOISE)
 
 
 # --- bounds, time, and geometry

@@ -3,7 +3,6 @@
 import copy
 import socket
 import time
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -27,7 +26,9 @@ from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 ABSENT = "127.0.0.78"  # no camera answers here
 
 
-def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene):
+def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("camera_client.camera_ros.outline", lambda image, mask: drawn.append(1) or image)
     camera = bench(**session.parameters).start()
     camera.until(lambda: len(camera.masks) == FRAMES and len(camera.heard["camera_info"]) == FRAMES)
     expected = [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(FRAMES)]
@@ -41,6 +42,7 @@ def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, 
     assert (info.width, info.height) == (canvas.width, canvas.height)
     assert not any(info.d) and np.allclose(np.array(info.k).reshape(3, 3), canvas.K)
     assert camera.peer.count_subscribers("/hull/thinning") == 0  # it goes as fast as it is answered, by no rule
+    assert not drawn  # no preview, for nobody looks
 
 
 def test_camera_without_a_name_takes_the_namespace(bench, session, scene):
@@ -80,9 +82,8 @@ def test_camera_that_starts_late_plays_by_the_clock_of_the_others_and_tells_it(b
     clock = TimeReference(time_ref=to_stamp(epoch_ns), source="cam02")
     clock.header.stamp = to_stamp(time.time_ns() - round(late_s * 1e9))
     others.publish(clock)
-    camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED).publish(
-        TimeReference()
-    )  # of no clock at all
+    stranger = camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED)
+    stranger.publish(TimeReference())  # of no clock at all
     camera.start()
     camera.until(lambda: any(to_ns(mask.header.stamp) < epoch_ns + 10**12 for mask in camera.masks))
     stamps = [stamp for stamp in camera.stamps_ns() if stamp < epoch_ns + 10**12]  # before it heard, by its own clock
@@ -193,14 +194,6 @@ def test_raw_images_are_published_on_request_and_previews_to_who_subscribes(benc
     assert 30 < green.sum() < 400
 
 
-def test_no_preview_is_drawn_while_nobody_looks(bench, session, monkeypatch):
-    drawn = []
-    monkeypatch.setattr("camera_client.camera_ros.outline", lambda image, mask: drawn.append(1) or image)
-    camera = bench(**session.parameters).start()
-    camera.until(lambda: len(camera.masks) == FRAMES)
-    assert not drawn
-
-
 @pytest.mark.parametrize(
     "changed, text",
     [
@@ -229,19 +222,13 @@ def test_configure_fails_with_a_clear_error(bench, session, scene, changed, text
     assert camera.node.source is None
 
 
-def calibrated(camera):
-    """Another calibration of the same camera: longer lens, some distortion."""
-    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
-    return replace(camera, K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
-
-
 def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session, scene):
     path = session.folder / "info.yaml"
     camera = bench(2, **{**session.parameters, "camera_info_file": str(path)})
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: len(camera.heard["camera_info"]) == 2)
-    wanted = calibrated(scene.camera())
+    wanted = scene.calibrated()
     answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
     assert answer.success and f"saved to {path}" in answer.status_message
     camera.acknowledging = True
@@ -260,7 +247,7 @@ def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session
 
 def test_set_camera_info_that_does_not_fit_changes_nothing(bench, session, scene):
     camera = bench(**{**session.parameters, "camera_info_file": str(session.folder / "info.yaml")})
-    fits = camera_info_message(calibrated(scene.camera()), 0, "cam01_optical")
+    fits = camera_info_message(scene.calibrated(), 0, "cam01_optical")
     answer = set_camera_info(camera, fits)
     assert not answer.success and "not configured" in answer.status_message
     camera.start()
@@ -285,21 +272,18 @@ def test_what_the_others_do_not_see_becomes_background(bench, session, scene):
     images = [scene.with_person(image, thing) for image in scene.empty(30, seed=5)]
     path = scene.write_video(session.folder / "thing.avi", images)
     camera = bench(1, **session.parameters | {"footage.path": path, "footage.fps": 5.0})
-    reports, canvas = (
-        camera.peer.create_publisher(Image, "silhouette/support", RESULT),
-        scene.camera().undistorted_view(),
-    )
+    reports = camera.peer.create_publisher(Image, "silhouette/support", RESULT)
+    canvas = scene.camera().undistorted_view().camera
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: reports.get_subscription_count() == 1 == camera.predictions.get_subscription_count())
     for count in range(1, 31):
         camera.until(lambda count=count: len(camera.masks) == count)
         stamp_ns = camera.stamps_ns()[-1]
-        cells = np.full((canvas.camera.height // 8, canvas.camera.width // 8), NOBODY, np.uint8)
+        cells = np.full((canvas.height // 8, canvas.width // 8), NOBODY, np.uint8)
         reports.publish(support_message(ForegroundSupport(stamp_ns, "cam01", 8, cells)))
         camera.acknowledge(stamp_ns)
-    size = canvas.camera.width, canvas.camera.height
-    first, last = (decode_silhouette(camera.masks[k], *size, "test") for k in (0, -1))
+    first, last = (decode_silhouette(camera.masks[k], canvas.width, canvas.height, "test") for k in (0, -1))
     assert (first[thing > 0] > 0).mean() > 0.9 and not last.any()
 
 

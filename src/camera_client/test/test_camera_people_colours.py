@@ -10,7 +10,6 @@ from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.appearance import PeopleColours
 from camera_client.silhouettes.masks import BLOCK_PX, Box
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import FOREGROUND, UNCERTAIN
 
 H, W, NOISE = 120, 160, 2.0
@@ -34,28 +33,15 @@ def frame_of(room_levels, shirt, left, rng):
     return np.rint(picture + rng.normal(0, NOISE, picture.shape)).clip(0, 255).astype(np.uint8), person
 
 
-def pipeline_in(room_levels):
-    camera = CameraModel(
-        "cam", W, H, np.array([[150.0, 0, W / 2], [0, 150.0, H / 2], [0, 0, 1]]), "plumb_bob", np.zeros(5), np.eye(4)
-    )
-    sigma = np.full_like(room_levels, NOISE)
-    model = BackgroundModel(room_levels, sigma, Provenance("test", 50, NOISE))
-    return SilhouettePipeline(camera, model, SilhouetteSettings(shadow="keep"))
-
-
-def masks_of_a_walk(pipeline, room_levels, shirt):
-    """The person stands before the wall for two seconds, then half before the screen: the last mask, and where."""
-    rng = np.random.default_rng(3)
+def test_a_shirt_before_a_screen_of_its_colour_is_uncertain_and_the_wall_is_background(scene):
+    """The person stands before the wall for two seconds, then half before the screen."""
+    (levels, shirt), rng = room(colour=True), np.random.default_rng(3)
+    model = BackgroundModel(levels, np.full_like(levels, NOISE), Provenance("test", 50, NOISE))
+    pipeline = SilhouettePipeline(scene.camera(), model, SilhouetteSettings(shadow="keep"))
     for k in range(20):
-        pipeline.run(frame_of(room_levels, shirt, 20, rng)[0], (k + 1) * STEP_NS)
-    image, person = frame_of(room_levels, shirt, 60, rng)
-    return pipeline.run(image, 21 * STEP_NS).mask, person
-
-
-def test_a_shirt_before_a_screen_of_its_colour_is_uncertain_and_the_wall_is_background():
-    levels, shirt = room(colour=True)
-    mask, person = masks_of_a_walk(pipeline_in(levels), levels, shirt)
-    shown = mask[4 : 4 + H, 4 : 4 + W] if mask.shape != (H, W) else mask
+        pipeline.run(frame_of(levels, shirt, 20, rng)[0], (k + 1) * STEP_NS)
+    image, person = frame_of(levels, shirt, 60, rng)
+    shown = pipeline.run(image, 21 * STEP_NS).mask[:H, :W]
     before_wall, wall = person.copy(), ~person
     before_wall[:, W // 2 :], wall[:, W // 2 :] = False, False
     assert (shown[before_wall] == FOREGROUND).mean() > 0.95

@@ -19,7 +19,7 @@ class Gate:
         self.stamps_ns.append(frame.stamp_ns)
 
 
-def test_middleware_that_blocks_costs_stale_frames_and_never_holds_the_grab(bench, gige_camera):
+def test_middleware_that_blocks_costs_stale_frames_and_never_holds_the_grab(gige_camera, bench):
     simulated = gige_camera()
     camera = bench(**{"camera_name": "cam01", "source": "aravis", "aravis.address": simulated.address})
     assert camera.node.trigger_configure() == SUCCESS

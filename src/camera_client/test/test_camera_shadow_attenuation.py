@@ -7,9 +7,7 @@ from camera_pictures import change_of
 
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.background.noise import assumed_noise
-from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.masks import Box, trim_outline
-from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import AttenuationMarker, Scene
 from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, candidate_level
 
@@ -33,18 +31,13 @@ def seen(model, image, box=ALL):
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("degree", range(len(ATTENUATED_LEVELS)))
 def test_dark_floor_gets_the_degree_of_its_brightness(scene, colour, degree):
-    model = background(scene, colour)
-    ratio = (ATTENUATION_EDGES[degree] + ATTENUATION_EDGES[degree + 1]) / 2
-    person = np.zeros((120, 160), np.uint8)
+    model, marker = background(scene, colour), AttenuationMarker(scene.camera())
+    floor = seen(model, darkened(model, (ATTENUATION_EDGES[degree] + ATTENUATION_EDGES[degree + 1]) / 2))
+    person, nothing = np.zeros((2, 120, 160), np.uint8)
     person[70:120, 20:140] = 255
-    levels = AttenuationMarker(scene.camera()).mark(seen(model, darkened(model, ratio)), person, np.zeros_like(person))
-    inside = levels[82:118, 22:138]
-    assert (inside == ATTENUATED_LEVELS[degree]).mean() > 0.95
-    candidates = AttenuationMarker(scene.camera()).mark(
-        seen(model, darkened(model, ratio)), np.zeros_like(person), person
-    )
-    assert (candidates[82:118, 22:138] == candidate_level(degree)).mean() > 0.95
-    assert not levels[person == 0].any() and not candidates[person == 0].any()
+    for parts, level in (((person, nothing), ATTENUATED_LEVELS[degree]), ((nothing, person), candidate_level(degree))):
+        levels = marker.mark(floor, *parts)
+        assert (levels[82:118, 22:138] == level).mean() > 0.95 and not levels[person == 0].any()
 
 
 def test_what_no_shadow_can_be_stays_the_person(scene):
@@ -64,18 +57,6 @@ def test_a_box_of_the_image_gives_what_the_whole_image_gives(scene):
     for box in (Box(60, 30, 120, 160), Box(0, 0, 100, 76), Box(88, 4, 98, 22)):
         part = test.mark(seen(model, image.astype(np.uint8), box), person[box.slices], candidates[box.slices])
         assert np.array_equal(part, whole[box.slices])
-
-
-def test_only_marking_sends_degrees_and_the_person_is_the_same_in_all_modes(scene):
-    frame = scene.with_person(scene.empty(1, seed=7)[0])
-    frame[(scene.person_mask() > 0) & (np.arange(160) >= 80)] = 70  # dark trousers
-    found = {
-        how: SilhouettePipeline(scene.camera(), background(scene), SilhouetteSettings(shadow=how)).run(frame)
-        for how in ("mark", "remove", "keep")
-    }
-    assert set(np.unique(found["mark"].mask)) & set(ATTENUATED_LEVELS)
-    assert set(np.unique(found["remove"].mask)) == set(np.unique(found["keep"].mask)) == {0, 255}
-    assert np.array_equal(found["mark"].person, found["remove"].mask)
 
 
 @pytest.mark.parametrize("blur_px", [0.8, 1.2])

@@ -243,9 +243,15 @@ def test_reconnection_that_fails_is_shown_and_retried(world, streaming, attribut
     assert streaming.connection.reason == "" and not streaming.connection.refused
 
 
-def test_dead_camera_blocks_neither_stop_nor_close(world, streaming):
+@pytest.fixture
+def impatient(monkeypatch):
+    """Who waits for a camera to stop gives up after a moment."""
+    monkeypatch.setattr("camera_client.sources.supervised_source.RELEASE_S", 0.05)
+
+
+def test_dead_camera_blocks_neither_stop_nor_close(impatient, world, streaming):
     world.made[0].hold.clear()
-    streaming.stop()  # gives up waiting after half a second
+    streaming.stop()
     assert "did not answer" in streaming.connection.reason
     streaming.close()
     assert "closed" not in world.made[0].calls
@@ -253,7 +259,7 @@ def test_dead_camera_blocks_neither_stop_nor_close(world, streaming):
     assert world.made[0].closed.wait(PATIENCE_S)
 
 
-def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(world, streaming):
+def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(impatient, world, streaming):
     world.made[0].hold.clear()
     world.silent = True
     until(streaming, lambda s, _: s.lost)

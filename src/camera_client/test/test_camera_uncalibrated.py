@@ -29,11 +29,6 @@ def unknown(bench, session, scene, monkeypatch):
     return {**session.parameters, **changed, "background_frames": 20}
 
 
-def lens(scene, name="cam01"):
-    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
-    return replace(scene.camera(name), K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
-
-
 def test_images_and_camera_info_with_zero_K_come_instead_of_silhouettes(bench, unknown, scene):
     camera = bench(**unknown)
     camera.listen(Image, "image_raw", SILHOUETTE_RELIABLE_SUBSCRIBER)
@@ -75,7 +70,7 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     training = TrainingReport.from_json(values[KEY])
     assert (training.number, training.frames, training.text, training.saved) == (1, 20, answer.message, "")
     assert (values["background_age_h"], values["things_share"]) == ("0", "")  # there is no foreground
-    wanted = lens(scene)
+    wanted = scene.calibrated()
     too_wide = camera_info_message(replace(wanted, width=640), 0, "cam01_optical")
     answer = set_camera_info(camera, too_wide)
     assert not answer.success and "for images of 640 x 120" in answer.status_message
@@ -105,7 +100,7 @@ class Room:
         return image
 
 
-def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room(bench, gige_camera, tmp_path):
+def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room(gige_camera, bench, tmp_path):
     room, saved = Room(), tmp_path / "bg.npz"
     simulated = gige_camera(room, noise=2.0, serial="SN42")
     parameters = {

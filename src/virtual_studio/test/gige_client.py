@@ -1,25 +1,14 @@
-"""Clients of simulated cameras: Aravis, and bare GVCP over a socket."""
+"""A client of simulated cameras: bare GVCP over a socket."""
 
 import socket
 import threading
 import time
-
-import pytest
 
 from gige_vision import gvcp as gvcp_payloads
 from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket
 
 PATIENCE_S = 30.0  # only ever used up by a failing test
 CONTROL_PRIVILEGE, CONTROL = 0x0A00, 2
-
-
-def aravis_modules():
-    """Aravis, Gio and GLib; skips where they are not installed."""
-    gi = pytest.importorskip("gi", reason="PyGObject is not installed: apt install python3-gi gir1.2-aravis-0.8")
-    gi.require_version("Aravis", "0.8")
-    from gi.repository import Aravis, Gio, GLib
-
-    return Aravis, Gio, GLib
 
 
 def eventually(condition, what="the condition"):

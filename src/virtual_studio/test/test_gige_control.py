@@ -10,18 +10,14 @@ from gige_client import CONTROL_PRIVILEGE, GvcpClient, eventually
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
-from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_address
 from virtual_studio.gige.feature_table import feature_table
 from virtual_studio.gige.registers import FILE_SPACE, RegisterError, Registers, genicam_xml
 
 
-def table():
-    return feature_table(CameraSettings(), "127.0.0.9", 640, 480, colour=False)
-
-
 @pytest.fixture
-def camera(address):
-    with SimulatedCamera(address, PatternScene(), CameraSettings(user_id="left", ptp_settle_s=0.0)) as camera:
+def camera():
+    with SimulatedCamera(free_address(), PatternScene(), CameraSettings(user_id="left", ptp_settle_s=0.0)) as camera:
         yield camera
 
 
@@ -29,10 +25,6 @@ def camera(address):
 def client(camera):
     with GvcpClient(camera.address) as client:
         yield client
-
-
-def address_of(camera, key):
-    return next(f.address for f in camera.features if f.name == key)
 
 
 def test_nobody_writes_without_control(camera, client):
@@ -79,14 +71,11 @@ def test_address_is_taken_while_a_camera_is_on_and_free_when_it_is_off(camera):
         assert DeviceRecord.decode(client.ask(Command.DISCOVERY).payload).serial == "OTHER"
 
 
-def arm_action(camera, client):
-    client.take_control()
-    for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 6)):
-        assert client.write(address_of(camera, key), value) == 0
-
-
 def test_action_for_others_is_not_answered(camera, client):
-    arm_action(camera, client)
+    client.take_control()
+    at = {feature.name: feature.address for feature in camera.features}
+    for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 6)):
+        assert client.write(at[key], value) == 0
     for stranger in (Action(9, 2, 6, 0), Action(1, 9, 6, 0), Action(1, 2, 8, 0)):
         client.send_packet(stranger.command())
     assert client.is_silent()
@@ -98,14 +87,7 @@ def test_action_for_others_is_not_answered(camera, client):
 # --- registers and their description ----------------------------------------------------------------------------------
 
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
-
-
-def features_of(colour=True):
-    return feature_table(CameraSettings(), "127.0.0.9", 640, 480, colour)
-
-
-def registers():
-    return Registers(features_of(), b"0123456789abcdef")
+FEATURES = feature_table(CameraSettings(), "127.0.0.9", 640, 480, colour=True)
 
 
 def status_of(action):
@@ -115,8 +97,7 @@ def status_of(action):
 
 
 def test_description_refers_to_what_it_describes_and_to_readable_registers():
-    features = features_of()
-    root, memory = ElementTree.fromstring(genicam_xml(features)), Registers(features)
+    root, memory = ElementTree.fromstring(genicam_xml(FEATURES)), Registers(FEATURES)
     nodes = {node.get("Name") for node in root.iter() if node.get("Name") and node.tag != NAMESPACE + "EnumEntry"}
     tags = ("pFeature", "pValue", "pMax", "pPort")
     references = [node.text for tag in tags for node in root.iter(NAMESPACE + tag)]
@@ -131,8 +112,7 @@ def test_description_refers_to_what_it_describes_and_to_readable_registers():
 
 
 def test_accesses_are_refused_with_the_status_that_says_why():
-    memory = registers()
-    at = {f.name: f.address for f in features_of()}
+    memory, at = Registers(FEATURES, b"0123456789abcdef"), {f.name: f.address for f in FEATURES}
     assert status_of(lambda: memory.read(0x7_0000, 4)) == Status.INVALID_ADDRESS
     assert status_of(lambda: memory.read(at["Width"] + 1, 4)) == Status.BAD_ALIGNMENT
     assert status_of(lambda: memory.read(at["Width"], 3)) == Status.BAD_ALIGNMENT

@@ -130,13 +130,9 @@ def test_session_of_a_scene_has_a_truth_and_a_body_for_each_person(tmp_path, com
 def test_two_who_meet_pass_each_other_shake_hands_hug_and_part(persons):
     motions = TOGETHER["meeting"].motions(persons, 10.0)
     apart = np.linalg.norm(places(motions[0]) - places(motions[1]), axis=1)
-    hands = np.array(
-        [
-            [forward(p.body, pose)[RIGHT_HAND] for pose in motion.poses]
-            for p, motion in zip(persons, motions, strict=True)
-        ]
-    )
-    shaking = np.linalg.norm(hands[0] - hands[1], axis=1)
+    both = zip(persons, motions, strict=True)
+    one, other = ([forward(p.body, pose)[RIGHT_HAND] for pose in motion.poses] for p, motion in both)
+    shaking = np.linalg.norm(np.subtract(one, other), axis=1)
     assert 0.4 < apart[15:40].min() < 0.8  # they pass each other
     assert (shaking < 0.2).sum() >= 10  # and shake hands for a second
     assert 0.2 < apart[70:120].min() < 0.5  # the hug
