@@ -35,12 +35,6 @@ def _tiny_node_is_importable():
     patch.undo()
 
 
-@pytest.fixture(autouse=True)
-def _graphs_settle_soon(monkeypatch):
-    """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
-    monkeypatch.setattr("sagoma_tools.graph.ros_link.ROUND_S", 0.2)
-
-
 @pytest.fixture(scope="session")
 def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of twelve frames at 20 Hz: somebody in the T-pose and at the first steps, seen by four cameras."""

@@ -126,7 +126,7 @@ class Camera:
     def _publish(self):
         """Every picture stays for a while, as a board that is held still."""
         number = next(self._number)
-        image = self._images[number // 10 % len(self._images)]
+        image = self._images[number // 4 % len(self._images)]
         self._publisher.publish(image_message(image, 1_000_000 * number, "cam01_optical"))
 
     def _set(self, request, response):

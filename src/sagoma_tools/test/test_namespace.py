@@ -3,6 +3,7 @@ its end, its memory, its middleware."""
 
 import gc
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -62,9 +63,16 @@ def test_nodes_services_and_topics_are_those_of_the_namespace(graphs):
         assert find_clients(tool.node, 1, PATIENCE_S) == ["/cam01/camera_client"] == [*our_nodes(tool.node)]
 
 
-def test_the_recorder_names_topics_as_they_are_without_a_namespace(graphs, tmp_path):
+def test_the_recorder_names_topics_as_they_are_without_a_namespace(graphs, tmp_path, monkeypatch):
     bag = tmp_path / "bag"
-    assert main(["record", str(bag), "--namespace", "studio", "--seconds", "1.5"]) == 0
+    monkeypatch.setattr("sagoma_tools.recording.recorder.ANSWER_S", 0.1)  # for parameters, which the client has not
+
+    def end_once_it_is_recorded():
+        until(lambda: any(b"of /studio" in file.read_bytes() for file in bag.glob("*.mcap")))
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=end_once_it_is_recorded).start()
+    assert main(["record", str(bag), "--namespace", "studio", "--seconds", f"{PATIENCE_S}"]) == 0
     assert bag_topics(bag)["/icp/body"] == "std_msgs/msg/String"
     (message,) = read_messages(bag, "/icp/body".__eq__)
     assert message.decode(String).data == "of /studio"

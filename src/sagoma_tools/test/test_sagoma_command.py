@@ -4,12 +4,11 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from test_supervisor_graph import camera, tiny
-from tools_waiting import until
+from tools_waiting import settled_at
 
 from capture_rig.errors import InputError
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.cli import main
-from sagoma_tools.graph.ros_link import our_nodes
 from sagoma_tools.recording.recorder import read_configuration
 from sagoma_tools.recording.writer import BagWriter
 
@@ -36,10 +35,10 @@ def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_other
     assert "failed: /cam02/camera_client: configure did not answer" in said
 
 
-def test_start_of_half_a_graph_is_an_input_error_and_starts_nothing(supervise, capsys, link):
+def test_start_of_half_a_graph_is_an_input_error_and_starts_nothing(supervise, capsys, monkeypatch):
     run = supervise(tiny("hull_server"))
-    until(lambda: our_nodes(link.node))  # a busy machine takes longer than the wait to start it
-    assert main(["start", "--expect", "7", "--wait", "3"]) == 2
+    monkeypatch.setattr("sagoma_tools.graph.ros_link.settled", settled_at(1))
+    assert main(["start", "--expect", "7"]) == 2
     said = capsys.readouterr().err
     assert "/hull_server" in said and "expected 7" in said
     assert run.lifecycle.states(["/hull_server"]) == {"/hull_server": "unconfigured"}

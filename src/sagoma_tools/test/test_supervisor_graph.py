@@ -12,12 +12,11 @@ from pathlib import Path
 import psutil
 import pytest
 from rich.console import Console
-from tools_waiting import until
+from tools_waiting import settled_at, until
 
 from sagoma_bringup.graph import NodeSpec, Role, processes_of
 from sagoma_tools.cli import main
 from sagoma_tools.graph.processes import ALREADY_DEAD, FAILED, KILLED, Child, busy_machine, stop_children
-from sagoma_tools.graph.ros_link import settled
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, restarted, with_kept_backgrounds
 
 REFUSES = "refuses_to_configure"
@@ -110,8 +109,7 @@ def test_graph_goes_on_when_a_camera_refuses_and_another_dies_with_its_last_word
 
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts(supervise, monkeypatch, tmp_path, capsys):
     run = supervise(tiny("hull_server"), camera("cam01"))
-    looked = "sagoma_tools.graph.lifecycle_client.settled"  # until there is one, however busy the machine
-    monkeypatch.setattr(looked, lambda look, expect, wait_s: settled(lambda: look() & {"/hull_server"}, 1, 60.0))
+    monkeypatch.setattr("sagoma_tools.graph.lifecycle_client.settled", settled_at(1))
     assert main(["up", "--rig", str(RING4), "--run-folder", str(tmp_path / "second")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("sagoma: /hull_server run already in this ROS domain. End that graph, or give")
