@@ -133,21 +133,14 @@ WATCHED = "somebody is here: watched for {:.1f} of 1.0 s"
 BELOW = "cam02 does not see your feet: step 0.4 m away from cam02"
 
 
-def test_reasons_that_differ_in_numbers_are_one_with_the_numbers_of_a_typical_set():
+def test_the_most_frequent_reasons_are_said_and_those_that_differ_in_numbers_or_the_way_to_step_are_one():
     sets = [(WATCHED.format(0.1 * k),) for k in range(5)] + [("no hull",)] * 2
     assert rank_reasons(sets) == [(WATCHED.format(0.2), 5), ("no hull", 2)]
-
-
-def test_the_number_in_a_cameras_name_is_none_but_the_way_to_step_may_differ():
-    sets = [
-        (BELOW,),
-        (BELOW.replace("cam02 does", "cam03 does"),),
-        (BELOW.replace("0.4 m away from", "0.7 m towards"),),
-    ]
-    assert [count for _, count in rank_reasons(sets)] == [2, 1]
-
-
-def test_the_most_frequent_reasons_are_said():
+    other_way, other_camera = (
+        BELOW.replace("0.4 m away from", "0.7 m towards"),
+        BELOW.replace("cam02 does", "cam03 does"),
+    )
+    assert [count for _, count in rank_reasons([(BELOW,), (other_camera,), (other_way,)])] == [2, 1]
     sets = [(WATCHED.format(0.5),)] * 9 + [("nobody upright",)] * 2 + [("anything",), ("no hull",)]
     said = f'of 13 frame sets the tracker said "{WATCHED.format(0.5)}" in 9, "nobody upright" in 2, "anything" in 1'
     assert explain(sets) == said
@@ -162,17 +155,12 @@ def write_bag(folder: Path, fits: list[Fit]) -> Path:
     return folder
 
 
-def test_a_bag_tells_the_same_reasons(tmp_path):
+def test_a_bag_tells_the_same_reasons_and_that_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
     bag = write_bag(tmp_path / "bag", [fits_nothing(k, WATCHED.format(0.1 * k)) for k in range(1, 4)])
     assert reasons_of_bag(bag, lambda stamp_ns: stamp_ns > 1) == [(WATCHED.format(0.2),), (WATCHED.format(0.3),)]
     with pytest.raises(InputError, match=r'of 3 frame sets the tracker said "somebody .* watched for 0\.2 of .* in 3'):
         tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
-
-
-def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
-    fit = fits_nothing(1, "")
-    tracked = Fit(1, "tracking", "own", "", 0, fit.reference_points_world, fit.covariance, fit.visible, None, None)
-    bag = write_bag(tmp_path / "bag", [tracked])
+    bag = write_bag(tmp_path / "tracked", [replace(fits_nothing(1, ""), state="tracking", reason="")])
     assert reasons_of_bag(bag) == [()]
     with pytest.raises(InputError, match="Record /mocap/reference_points"):
         tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
@@ -202,7 +190,7 @@ def differing(a, b, prefix="") -> set[str]:
     return set().union(*found)
 
 
-def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
+def test_the_last_row_is_the_settings_own_the_first_the_thesis_method_and_each_adds_exactly_one_part():
     settings = {"icp_tracker.refinement.keyframes": 20}
     rows = ablation_rows(settings)
     assert tuple(rows) == ROWS
@@ -210,10 +198,7 @@ def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
     first = rows[THESIS]
     assert (first.icp.method, first.ekf.motion_model, first.feedback) == ("hierarchical", "identity", False)
     assert first.icp.refinement.keyframes == 20
-
-
-def test_every_row_adds_exactly_one_part():
-    for (before, after), without in zip(pairwise(ablation_rows({}).values()), PARTS.values(), strict=True):
+    for (before, after), without in zip(pairwise(rows.values()), PARTS.values(), strict=True):
         switched = {key.replace("icp_tracker.", "icp.").replace("ekf_tracker.filter.", "ekf.") for key in without}
         assert differing(before, after) == switched
 
