@@ -231,14 +231,6 @@ def test_a_broken_bag_is_a_clear_error_of_every_command(take: Path, tmp_path: Pa
 # --- found by trying
 
 
-def test_a_session_without_a_background_is_an_error_of_evaluate(three_cameras: Path, tmp_path: Path) -> None:
-    session = tmp_path / "session"
-    shutil.copytree(three_cameras, session)
-    next(session.glob("cam03_background.*")).unlink()
-    status, said = run("evaluate", session, "--plots", tmp_path / "out")
-    assert status == 2 and "there is no background for cam03" in said and "Add cam03_background" in said
-
-
 @pytest.mark.parametrize(
     ("line", "says"),
     [

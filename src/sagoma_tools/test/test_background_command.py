@@ -18,8 +18,8 @@ from camera_client.background.model import BackgroundLearner, load_background
 from camera_client.background.training import KEY, TrainingReport
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 from sagoma_tools.cli import main
-from sagoma_tools.commands.background import count_down, exit_status
-from sagoma_tools.graph.ros_link import RosLink, label_of
+from sagoma_tools.commands.background import count_down
+from sagoma_tools.graph.ros_link import RosLink
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
 NOISE = Finding(USABLE, "the noise is high", "lower the gain", "noise.high")
@@ -130,8 +130,6 @@ def test_repeat_asks_only_those_that_need_it_and_those_that_must_be_redone_are_n
 def test_graph_without_camera_clients_is_an_input_error(capsys):
     assert main(["background", "--wait", "0.3"]) == 2
     assert "found 0 camera clients" in capsys.readouterr().err
-    assert exit_status([]) == 0  # no lesson at all is none that failed
-    assert label_of("/lab/cam01/camera_client") == "lab/cam01"
 
 
 def test_countdown_in_a_log_says_the_last_seconds_and_stops_when_told():

@@ -65,7 +65,9 @@ def test_the_ablation_ends_with_our_figures_and_begins_with_the_thesis(tour, cap
     assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "overlay.png", "worst.png"}
 
 
-def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour, capsys, tmp_path, monkeypatch):
+def test_without_truth_a_session_is_judged_by_what_can_be_said_and_without_a_background_not(
+    tour, capsys, tmp_path, monkeypatch
+):
     moved = ExtrinsicErrors({"cam02": 0.012}, dict.fromkeys(("cam02", "cam03"), "cam02 or cam03 was moved"))
     monkeypatch.setattr(PeopleTracker, "extrinsic_errors", moved)
     blind = shutil.copytree(tour, tmp_path / "blind")
@@ -79,6 +81,10 @@ def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour,
     assert not {"mean_mm", "thesis_mean_mm", "inside_95"} & set(figures)
     assert main(["evaluate", str(blind), "--ablation"]) == 2
     assert "Leave out --ablation" in capsys.readouterr().err
+    next(blind.glob("cam03_background.*")).unlink()
+    assert main(["evaluate", str(blind)]) == 2
+    said = capsys.readouterr().err
+    assert "there is no background for cam03" in said and "Add cam03_background" in said
 
 
 def test_a_bag_is_judged_on_the_session_that_it_names_and_one_of_unknown_origin_asks_for_it(tour, tmp_path):
