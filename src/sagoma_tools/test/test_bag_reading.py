@@ -24,6 +24,7 @@ from std_msgs.msg import String
 
 from capture_rig.errors import InputError
 from sagoma_ros.qos import LATCHED
+from sagoma_tools.cli import main
 from sagoma_tools.recording.reader import (
     TYPES,
     bag_cameras,
@@ -117,6 +118,20 @@ def test_digest_is_of_length_and_bytes_of_each_message_and_the_first_difference_
     found = first_difference(tmp_path / "a", tmp_path / "b", topic)
     assert f"message 2 differs first, from byte {len(messages[2]) - 1} on" in found
     assert "short ends after 3 messages" in first_difference(tmp_path / "a", tmp_path / "short", topic)
+
+
+def test_compare_tells_equal_from_different_bags_and_refuses_those_without_outputs(tmp_path, capsys):
+    bags = {name: str(tmp_path / name) for name in ("a", "same", "other", "inputs")}
+    for name, angle in (("a", 0.2), ("same", 0.2), ("other", 0.3)):
+        write_joint_states(bags[name], [joint_state(EPOCH_NS, 0.1), joint_state(EPOCH_NS + 1, angle)])
+    assert main(["compare", bags["a"], bags["same"]]) == 0
+    assert "identical       2 messages" in capsys.readouterr().out
+    assert main(["compare", bags["a"], bags["other"]]) == 1
+    assert "/mocap/joint_states: message 1 differs first" in capsys.readouterr().out
+    with BagWriter(bags["inputs"]) as writer:
+        writer.add_topic("/cam01/camera_info", INFO)
+    assert main(["compare", bags["inputs"], bags["inputs"]]) == 2
+    assert "neither bag holds" in capsys.readouterr().err
 
 
 def test_bytes_between_the_fields_do_not_count(tmp_path):

@@ -139,26 +139,6 @@ def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(
     assert "ffmpeg -i IN -r RATE" in said
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        ((), "no pictures are given"),
-        (("--floor-points", "points.yaml", "--floor", "floor"), "both give the floor"),
-        (("--floor", "floor", "--floor-at", "12"), "other pictures show the floor"),
-        (("--moving", "moving", "--floor-at", "soon"), "'soon' is no frame"),
-        (("--floor", "floor", "--origin", "there"), "--origin: 'there' cannot be read"),
-        (("--floor", "floor", "--check", "cam01", "cam02", "far"), "--check: 'far' cannot be read"),
-        (("--floor", "floor", "--check", "cam01", "cam02", "1e300"), "--check: '1e300' cannot be read"),
-        (("--wand", "wand"), "the wand's markers are not given"),
-        (("--moving",), "--moving: no footage is given"),
-        (("--live", "--floor", "floor"), "pictures come from the cameras"),
-    ],
-)
-def test_arguments_that_contradict_each_other_are_refused_with_a_remedy(arguments, words, capsys):
-    assert main(["calibrate", "extrinsics", "--intrinsics", "none", "--board", BOARD_TEXT, *arguments]) == BAD_INPUT
-    assert words in capsys.readouterr().err
-
-
 def test_measured_points_on_the_floor_serve_instead_of_a_board(room, cameras, capsys):
     points = {"A": [-0.8, -0.5], "B": [0.8, -0.5], "C": [0.8, 0.6], "D": [-0.8, 0.6], "E": [0.0, 0.0, 0.4]}
     world = np.array([[*xy, 0.0][:3] for xy in points.values()])

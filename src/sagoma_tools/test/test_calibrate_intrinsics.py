@@ -103,12 +103,6 @@ def test_another_board_than_the_one_that_was_filmed_is_named(shown, tmp_path, ca
     assert "cam01: 0 of 1 images show the board usably" in said and "9 x 6" in said
 
 
-@pytest.mark.parametrize("sources", [[], ["somewhere", "--topic", "/cam01/image_raw"]])
-def test_footage_and_topic_exclude_each_other(sources, capsys):
-    assert main(["calibrate", "intrinsics", *sources, "--board", BOARD_TEXT]) == 2
-    assert "give either footage or --topic" in capsys.readouterr().err
-
-
 # --- live
 
 

@@ -91,11 +91,6 @@ def test_the_page_looks_at_the_graph_of_its_namespace(graphs):
         assert subscribed == ["/studio/icp/body"] * 2
 
 
-def test_a_namespace_that_is_none_is_refused_before_anything_starts(tmp_path, capsys):
-    assert main(["record", str(tmp_path / "bag"), "--namespace", "my studio"]) == 2
-    assert "--namespace" in capsys.readouterr().err and not (tmp_path / "bag").exists()
-
-
 def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(capsys):
     with running_filter("/studio") as studio_state, running_filter("") as root_state:
         with RosLink("tool") as tool:
