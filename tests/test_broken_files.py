@@ -93,7 +93,6 @@ def _place(document: Any, rng: np.random.Generator) -> tuple[Any, Any]:
 
 
 def damage(path: Path, rng: np.random.Generator) -> None:
-    """Damage a file in place."""
     if path.suffix == ".yaml":
         path.write_bytes(damaged_yaml(path.read_text(encoding="utf-8"), rng))
     else:
@@ -172,7 +171,6 @@ def test_a_broken_file_is_an_input_error(kind: str, times: int, tmp_path: Path) 
 
 @pytest.fixture(scope="module")
 def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of 20 frames."""
     return write_take(tmp_path_factory.mktemp("takes") / "walk", 20)
 
 

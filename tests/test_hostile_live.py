@@ -68,11 +68,9 @@ class Target:
         return answered and all(map(self.supervisor.processes.alive, self.supervisor.states()))
 
     def wait_for_tracking(self, timeout_s: float) -> bool:
-        """Return whether the filter says in time that it tracks."""
         return self.supervisor.diagnostics.wait_until(lambda: self.state().startswith("tracking"), timeout_s)
 
     def state(self) -> str:
-        """Return the filter's own words."""
         report = self.supervisor.diagnostics.report("/ekf_tracker")
         return report.message if report is not None else "?"
 

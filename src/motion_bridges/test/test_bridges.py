@@ -5,6 +5,7 @@ import socket
 import numpy as np
 import pytest
 from node_probe import FAILURE, NodeProbe
+from poses import angles_with
 from pythonosc.osc_bundle import OscBundle
 from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
 
@@ -21,7 +22,7 @@ from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, stick_frames
 from stick_figure.pose import JointMotion, Pose
-from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
+from stick_figure.skeleton import POINT_NAMES
 
 BODY = Body.from_stature(1.8)
 STANDING_M = np.array([0.4, -0.3, 1.2])
@@ -29,9 +30,7 @@ STANDING_M = np.array([0.4, -0.3, 1.2])
 
 def pose_of(lean=(0.0, 0.0, 0.0), place=STANDING_M, **degrees) -> Pose:
     """A T-pose but for the joint angles given; ``lean`` is a rotation vector."""
-    angles = T_POSE_ANGLES.copy()
-    for name, value in degrees.items():
-        angles[ANGLE_NAMES.index(name)] = np.deg2rad(value)
+    angles = angles_with(**{name: np.deg2rad(value) for name, value in degrees.items()})
     return Pose.from_angles(place, rotation_matrix(np.array(lean)), angles)
 
 

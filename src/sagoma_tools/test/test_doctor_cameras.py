@@ -54,7 +54,6 @@ def file(tmp_path, camera, ready):
 
     def write(name="cam01", **changes):
         parameters = {
-            "autostart": True,
             "rig_file": str(ready / "rig.yaml"),
             "camera_name": name,
             "source": "aravis",

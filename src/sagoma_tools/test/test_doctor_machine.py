@@ -151,14 +151,10 @@ FINDINGS = [
 ]
 
 
-def shown(findings):
-    sink = io.StringIO()
-    show(findings, CommandConsole(file=sink))
-    return sink.getvalue()
-
-
 def test_findings_are_shown_by_subject_the_gravest_first_cameras_last_and_counted():
-    *lines, last = shown(FINDINGS).splitlines()
+    sink = io.StringIO()
+    show(FINDINGS, CommandConsole(file=sink))
+    *lines, last = sink.getvalue().splitlines()
     assert [line for line in lines if line and line[0] != " "] == ["this machine", "graph", "camera cam01"]
     about_cam01 = lines[lines.index("camera cam01") + 1 :]
     assert [line.split()[0] for line in about_cam01[:4]] == ["ERROR", "->", "note", "ok"]
