@@ -157,7 +157,7 @@ def saved(tmp_path):
     return tmp_path / "cam01.npz"
 
 
-def test_show_prints_where_a_background_comes_from_and_what_speaks_against_it_and_draws_it(saved, tmp_path, capsys):
+def test_show_draws_a_background_and_says_its_origin_and_what_speaks_against_it_or_has_changed(saved, tmp_path, capsys):
     assert main(["background", "show", str(saved), "--output", str(tmp_path / "pictures")]) == 0
     said = capsys.readouterr().out
     about = ("camera 10.0.0.1", "S1", "5000", "2026-03-01T08:00:00", "usable: a lamp blinks", "80 x 60 mono")
@@ -170,9 +170,6 @@ def test_show_prints_where_a_background_comes_from_and_what_speaks_against_it_an
     assert sigma[10, 50].tolist() == [0, 0, 255]
     assert main(["background", "show", str(saved), "--output", str(saved)]) == 2
     assert "cannot be made (File exists)" in capsys.readouterr().err
-
-
-def test_show_names_what_changed_since_another_background(saved, tmp_path, capsys):
     learner = BackgroundLearner()
     for image in noise(112, 5, seed=1):
         image[20:50, 20:32] = 190
