@@ -61,8 +61,17 @@ def troubles(facts):
     return [(finding.severity.name, finding.subject, finding.code, finding.what) for finding in found]
 
 
+def trained(grade, *findings):
+    """cam02's client with the report of a training."""
+    return reporting(C2, values={"background_training": TrainingReport(1, grade, findings).to_json()})
+
+
+C2, MOVED = CLIENTS["cam02"], ("something moved: in the middle", "clear the scene")
+
+
 def test_healthy_graph_and_one_of_an_empty_room_have_no_troubles():
-    assert troubles(graph()) == []
+    for well in ([], [trained("good")], [trained("usable", Finding("usable", *MOVED))]):
+        assert troubles(graph(well)) == []
     empty = [silhouettes(name, share=0.0) for name in RIG.names]
     say = [reporting(CLIENTS[name], level=b"\1", message="the mask is empty") for name in RIG.names]
     say += [reporting(HULL, level=b"\1", message="the hull is empty")]
@@ -70,10 +79,8 @@ def test_healthy_graph_and_one_of_an_empty_room_have_no_troubles():
     assert troubles(graph(say, empty, sets=({**SET, "points": "0"},) * 60)) == []
 
 
-C2 = CLIENTS["cam02"]
-
-
 OF_THE_NODE = [
+    (trained("redo", Finding("redo", *MOVED)), "WARNING", "background.failed", "in the middle (clear the scene)"),
     (replace(C2, state=None, report=None), "ERROR", "node.silent", ""),
     (replace(C2, state=None), "ERROR", "node.silent", "does not answer:"),
     (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
@@ -135,15 +142,6 @@ def test_nobody_heard_says_where_nodes_are(monkeypatch):
     finding = next(iter(graph_findings(GraphFacts(46, expected=RIG.names))))
     assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
     assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
-
-
-@pytest.mark.parametrize("grade, expected", [("good", []), ("usable", []), ("redo", ["background.failed"])])
-def test_background_that_has_to_be_learned_again_is_named_with_the_reason(grade, expected):
-    finding = Finding(grade, "something moved: in the middle", "clear the scene")
-    training = TrainingReport(1, grade, () if grade == "good" else (finding,)).to_json()
-    found = troubles(graph([reporting(C2, values={"background_training": training})]))
-    assert [code for _, _, code, _ in found] == expected
-    assert not found or "in the middle (clear the scene)" in found[0][3]
 
 
 REFUSED = unfit(Provenance("camera", 100, 1.5, camera_serial="S1"), {"camera_serial": "S2"})
