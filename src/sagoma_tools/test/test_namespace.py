@@ -9,6 +9,7 @@ import sys
 import threading
 import tracemalloc
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 import rclpy
@@ -99,11 +100,8 @@ def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(c
             assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
             assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
             assert [studio_state(), root_state()] == states
-            until(lambda namespace=namespace: states_in(namespace) == [("/ekf_tracker", "active")])
-
-
-def states_in(namespace):
-    return [(node.name, node.state) for node in collect_graph(0.1, namespace=namespace).nodes]
+            heard = partial(collect_graph, 0.1, namespace=namespace)
+            until(lambda heard=heard: [(n.name, n.state) for n in heard().nodes] == [("/ekf_tracker", "active")])
 
 
 @contextmanager

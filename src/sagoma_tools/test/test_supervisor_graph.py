@@ -127,10 +127,6 @@ def rendered(table):
 # --- processes that end
 
 
-def start(tmp_path, name, script, on_exit=lambda child: None):
-    return Child(name, [sys.executable, "-c", script], tmp_path / f"{name}.log", os.environ, on_exit)
-
-
 ENDS = {
     "": ("time.sleep(600)", 30.0, {0, -signal.SIGINT}),
     FAILED: ("try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n    sys.exit(4)", 30.0, {4}),
@@ -143,24 +139,16 @@ def test_children_end_on_sigint_or_are_killed_with_what_they_started(tmp_path, t
     """They end even when they inherit that SIGINT is ignored, as background jobs of a shell script do."""
     script, grace_s, codes = ENDS[trouble]
     grandchild = "subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])"
-    child = start(
-        tmp_path,
-        "child",
-        f"import signal, subprocess, sys, time\nprint({grandchild}.pid, 'ready', flush=True)\n{script}",
-    )
-    started = psutil.Process(int(wait_for_text(child, "ready").split()[0]))
+    script = f"import signal, subprocess, sys, time\nprint({grandchild}.pid, 'ready', flush=True)\n{script}"
+    child = Child("child", [sys.executable, "-c", script], tmp_path / "child.log", os.environ, lambda child: None)
+    until(lambda: "ready" in child.log.read_text())
+    started = psutil.Process(int(child.log.read_text().split()[0]))
     (ended,) = stop_children([child], grace_s=grace_s)
     assert ended.trouble == trouble and ended.returncode in codes and not psutil.pid_exists(child.pid)
     if trouble == KILLED:
         assert started.wait(timeout=30) is not None or not started.is_running()
     else:
         started.kill()
-
-
-def wait_for_text(child, text):
-    """The child's log, once it holds ``text``."""
-    until(lambda: text in child.log.read_text())
-    return child.log.read_text()
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])

@@ -155,14 +155,10 @@ def take(tmp_path_factory):
     return TakesFolder(folder).find("walk")
 
 
-def pictures(path):
-    with Video(path) as video:
-        return list(video)
-
-
 def test_a_person_is_drawn_over_the_silhouettes_of_every_camera(take, tmp_path):
     assert write_video(take, tmp_path / "walk.avi") == FRAMES
-    shown = pictures(tmp_path / "walk.avi")
+    with Video(tmp_path / "walk.avi") as video:
+        shown = list(video)
     assert len(shown) == FRAMES and not (tmp_path / ".walk.part.avi").exists()
     left, right = np.array_split(shown[3].astype(int), 2, axis=1)
     for half in (left, right):
