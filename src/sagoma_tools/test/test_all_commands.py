@@ -15,12 +15,8 @@ from sagoma_tools.console import BAD_INPUT, HELP, INTERRUPTED, NO_READER, comman
 
 ROOT = Path(__file__).resolve().parents[3]
 RING4 = ROOT / "config" / "rig" / "ring4.yaml"
-EVERY = sorted(name for name, _, _ in commands_of(build_parser()))
-
-
-@pytest.fixture(scope="module")
-def parser():
-    return build_parser()
+PARSER = build_parser()
+EVERY = sorted(name for name, _, _ in commands_of(PARSER))
 
 
 def test_the_tables_name_every_command_and_no_other():
@@ -28,13 +24,13 @@ def test_the_tables_name_every_command_and_no_other():
     assert {name.split()[0] for name in EVERY} == {one for commands in COMMANDS.values() for one in commands}
 
 
-def test_the_page_of_commands_is_printed_from_the_table(parser):
+def test_the_page_of_commands_is_printed_from_the_table():
     remedy = "run: python scripts/commands_page.py > docs/commands.md"
-    assert (ROOT / "docs" / "commands.md").read_text() == commands_page.page(parser), remedy
+    assert (ROOT / "docs" / "commands.md").read_text() == commands_page.page(PARSER), remedy
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_help_has_what_the_command_does_statuses_and_examples_that_can_be_given(name, parser, capsys, monkeypatch):
+def test_help_has_what_the_command_does_statuses_and_examples_that_can_be_given(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as ended:
         main([*name.split(), "--help"])
@@ -45,7 +41,7 @@ def test_help_has_what_the_command_does_statuses_and_examples_that_can_be_given(
     others = [line for line in said.splitlines() if not line.startswith("  sagoma ")]
     assert all(len(line) <= 80 or " " not in line.strip() for line in others)
     for example in HELP[name].examples if name in HELP else ():
-        assert f"  sagoma {example}\n" in said and parser.parse_args(shlex.split(example)).command == name
+        assert f"  sagoma {example}\n" in said and PARSER.parse_args(shlex.split(example)).command == name
 
 
 @pytest.mark.parametrize("name", ["demo", "takes verify", "studio"])
