@@ -22,8 +22,7 @@ from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.tracker import fits_nothing
 from mocap_packets.fit import DOUBTFUL, PART_NAMES, Fit
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
-from mocap_pipeline.session_footage import exact_silhouettes
+from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
@@ -219,16 +218,3 @@ def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one
     assert len(carved) == len(set(carved)) == 12
     assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
     assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
-
-
-def test_without_feedback_every_fit_starts_from_the_fit_before(toured):
-    graph = MocapPipeline(toured.rig, started(toured))
-    closed, opened = graph.body, TrackingStage.of(started(toured, feedback=False))
-    starts: dict[str, list[str]] = {"closed": [], "opened": []}
-    for frame, masks in enumerate(exact_silhouettes(toured)):
-        clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)
-        starts["closed"].append(closed.step(clouds).fit.started_from)
-        starts["opened"].append(opened.step(clouds).fit.started_from)
-    assert starts["opened"][1:] == ["own"] * 11
-    assert starts["closed"][1] == "1000000000"
-    assert "own" not in starts["closed"]
