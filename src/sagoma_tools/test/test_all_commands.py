@@ -139,6 +139,7 @@ INTRINSICS = "calibrate intrinsics --board 'checkerboard 9x6 100mm' "
         ("replay bag --graph --output out", "with --lockstep"),
         (f"replay {'x' * 5000}", "there is no such bag"),
         ("record bag --namespace 'my studio'", "--namespace"),
+        ("background --wait 0.3", "found 0 camera clients"),
         (f"up --rig {RING4} --set hull_server.voxel_size_m=[1", "--set hull_server.voxel_size_m: is not"),
         (f"up --rig {RING4} --set hull_server.voxel_size_m", "'hull_server.voxel_size_m' has no value"),
         ("studio set gain=[1", "sagoma studio: gain: is not valid YAML"),

@@ -127,11 +127,6 @@ def test_repeat_asks_only_those_that_need_it_and_those_that_must_be_redone_are_n
     assert (made["cam01"].asked, made["cam02"].asked) == (1, 2)
 
 
-def test_graph_without_camera_clients_is_an_input_error(capsys):
-    assert main(["background", "--wait", "0.3"]) == 2
-    assert "found 0 camera clients" in capsys.readouterr().err
-
-
 def test_countdown_in_a_log_says_the_last_seconds_and_stops_when_told():
     log, stop = io.StringIO(), threading.Event()
     stop.set()
