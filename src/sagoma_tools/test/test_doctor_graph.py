@@ -174,9 +174,11 @@ DOMAIN, ELSEWHERE = 93, 94  # of this file alone: nobody else's nodes are heard
 def heard():
     """cam01 is well, cam02 blank and its clock half a second ahead; cam03 is not there."""
     there = FakeCamera("cam01", domain_id=DOMAIN), FakeCamera("cam02", blank=True, lead_s=0.5, domain_id=DOMAIN)
-    with fake_server(DOMAIN), there[0], there[1], pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sagoma_tools.doctor.graph_listener.settled", settled_at(5))
-        yield collect_graph(1.0, RIG.names, DOMAIN)
+    with fake_server(DOMAIN), there[0], there[1]:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sagoma_tools.doctor.graph_listener.settled", settled_at(5))
+            found = collect_graph(1.0, RIG.names, DOMAIN)
+        yield found
 
 
 def test_real_nodes_are_heard_with_state_silhouettes_and_clock_and_what_is_wrong_with_them_is_found(heard):

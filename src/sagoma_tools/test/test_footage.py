@@ -43,14 +43,7 @@ def make_footage(folder, files):
         ({"a/1000.png": 10, "a/1007.png": 20, "b/5000.png": 30}, "{}", {"a": {0: 10, 1: 20}, "b": {0: 30}}),
         ({"x_1.png": 10, "x_2.png": "no picture", "x_3.png": 30}, "front={}/x_*.png", {"front": {1: 10, 3: 30}}),
     ],
-    ids=[
-        "a film a camera",
-        "numbered stills: a missing one shifts nothing",
-        "a still a camera: the same moment",
-        "folders, in natural order",
-        "numbers that no other camera shares",
-        "a pattern, a damaged still left out",
-    ],
+    ids=["films", "numbers, one missing", "a still each", "natural order", "numbers not shared", "one still damaged"],
 )
 def test_frames_of_a_camera_have_the_index_of_their_moment(tmp_path, files, source, expected):
     make_footage(tmp_path, files)
