@@ -61,6 +61,9 @@ _LOGS = tempfile.TemporaryDirectory(prefix="sagoma_test_logs_")  # removed when 
 # nothing leaves this machine
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
+# what the middleware of every node is told; the tests' own participants announce themselves as often
+_PROFILE = Path(__file__).parent / "src/sagoma_ros/sagoma_ros/fastdds_memory.xml"
+os.environ |= {"FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
 # two test runs side by side (or a live graph) do not hear each other; a domain that was chosen is that of one process:
 # the graphs of several would hear each other
 _CHOSEN_DOMAIN = None if "PYTEST_XDIST_WORKER" in os.environ else os.environ.get("ROS_DOMAIN_ID")

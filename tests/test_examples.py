@@ -7,11 +7,11 @@ import re
 import runpy
 import select
 import signal
-import subprocess
 import sys
 import threading
 from itertools import islice
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import numpy as np
 import pytest
@@ -96,18 +96,6 @@ def test_take_becomes_a_bvh_file_whose_root_walks_as_the_person_did(tmp_path, re
     np.testing.assert_allclose(np.linalg.norm(np.diff(roots_cm, axis=0), axis=1), 1.0, atol=0.02)
 
 
-@pytest.fixture
-def subscriber():
-    command = [sys.executable, str(EXAMPLES / "03_subscribe_pose.py")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    watchdog = threading.Timer(2 * PATIENCE_S, process.kill)  # a hung example ends the reads below
-    watchdog.start()
-    yield process
-    watchdog.cancel()
-    process.kill()
-    process.communicate()
-
-
 def next_line(process, publisher, message):
     """The next line that the example prints, while the message is published: it may not listen yet."""
     while not select.select([process.stdout], [], [], 0.2)[0]:
@@ -115,17 +103,21 @@ def next_line(process, publisher, message):
     return process.stdout.readline()
 
 
-def test_subscriber_prints_torso_and_joint_as_it_hears_them_and_ends_at_ctrl_c(subscriber):
+def test_subscriber_prints_torso_and_joint_as_it_hears_them_and_ends_at_ctrl_c():
     pose, joints = PoseWithCovarianceStamped(), JointState(name=list(ANGLE_NAMES))
     place = pose.pose.pose.position
     place.x, place.y, place.z = 1.0, -0.5, 1.1
     joints.position, joints.velocity = np.eye(18)[8] * -0.75, np.eye(18)[8] * 1.25
-    with RosLink("pose_source") as link:
+    command = [sys.executable, str(EXAMPLES / "03_subscribe_pose.py")]
+    with RosLink("pose_source") as link, Popen(command, stdout=PIPE, stderr=PIPE, text=True) as process:
+        watchdog = threading.Timer(2 * PATIENCE_S, process.kill)  # a hung example ends the reads below
+        watchdog.start()
         torso = link.node.create_publisher(PoseWithCovarianceStamped, "/mocap/torso", RESULT)
-        assert next_line(subscriber, torso, pose) == "torso at 1.00 -0.50 1.10 m\n"
+        assert next_line(process, torso, pose) == "torso at 1.00 -0.50 1.10 m\n"
         states = link.node.create_publisher(JointState, "/mocap/joint_states", RESULT)
-        lines = (next_line(subscriber, states, joints) for _ in range(1000))
+        lines = (next_line(process, states, joints) for _ in range(1000))
         assert "left_elbow -0.750 rad, 1.25 rad/s\n" in lines
-    subscriber.send_signal(signal.SIGINT)
-    assert subscriber.wait(PATIENCE_S) == 0
-    assert (subscriber.stdout.read().splitlines()[-1], subscriber.stderr.read()) == ("bye", "")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 0
+        assert (process.stdout.read().splitlines()[-1], process.stderr.read()) == ("bye", "")
+        watchdog.cancel()

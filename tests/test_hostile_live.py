@@ -24,7 +24,7 @@ from rclpy.serialization import deserialize_message
 from sagoma_bringup.graph import THREE_PROCESSES, build_graph
 from sagoma_tools.graph.ros_link import RosLink, call_all, settled
 from sagoma_tools.graph.supervisor import Supervisor
-from sagoma_tools.graph.topics import PREDICTION_TOPIC, message_class, type_of
+from sagoma_tools.graph.topics import OUTPUT_TOPICS, PREDICTION_TOPIC, message_class, type_of
 from stick_figure.body import Body
 from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
@@ -68,11 +68,9 @@ class Target:
         return answered and all(map(self.supervisor.processes.alive, self.supervisor.states()))
 
     def wait_for_tracking(self, timeout_s: float) -> bool:
-        """Return whether the filter says in time that it tracks."""
         return self.supervisor.diagnostics.wait_until(lambda: self.state().startswith("tracking"), timeout_s)
 
     def state(self) -> str:
-        """Return the filter's own words."""
         report = self.supervisor.diagnostics.report("/ekf_tracker")
         return report.message if report is not None else "?"
 
@@ -135,7 +133,7 @@ class Attacker:
 
     def __init__(self, target: Target, seed: int = 1) -> None:
         self._target, self._rng = target, np.random.default_rng(seed)
-        known = settled(lambda: set(_types(target.link)), 1, DISCOVERY_TIMEOUT_S)
+        known = settled(lambda: set(_types(target.link)), len(OUTPUT_TOPICS), DISCOVERY_TIMEOUT_S)
         ours = (topic for topic in known if topic not in NOT_OURS and "/transition_event" not in topic)
         self.topics = {topic: _types(target.link)[topic] for topic in ours}
         self._valid = valid_messages(target.link, self.topics)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from subprocess import PIPE
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from command_line import command
@@ -90,7 +90,6 @@ class Browser:
                 return message["result"]
 
     def open(self, url: str) -> None:
-        """Go there."""
         self.call("Page.enable")
         self.call("Page.navigate", url=url)
 
@@ -115,7 +114,6 @@ class Browser:
         return self.run(script)
 
     def wait_for_text(self, text: str) -> None:
-        """Until the page says so."""
         self.wait_for(f"document.body && document.body.innerText.includes({json.dumps(text)})")
 
     def wait_for_value(self, label: str, value: str) -> None:
@@ -153,7 +151,7 @@ class Browser:
         self.run(f"{beside(label, CHECKBOX)}.click()")
 
 
-PATIENCE_S = 240.0
+PATIENCE_S = 960.0
 VIEW = "window.__viserMutable.camera.position.toArray()"
 """JavaScript: where the view stands, m."""
 PERSON = """(() => {
@@ -170,17 +168,11 @@ PERSON = """(() => {
 """JavaScript: y of the person's first joint, m, and whether all joints are on the screen, over a third of it."""
 
 
-class RunningPage(NamedTuple):
-    """The page's address, and the folder of its takes."""
-
-    address: str
-    takes: Path
-
-
-def serve(arguments: list[str], takes: Path, patience_s: float) -> Iterator[RunningPage]:
-    """Run a command, and yield its page once it has said where that is."""
+@contextmanager
+def served(*arguments: object) -> Iterator[str]:
+    """Run a command, and yield its page's address once it has said that."""
     process = subprocess.Popen(command(*arguments, "--port", "0"), stdout=PIPE, stderr=subprocess.STDOUT, text=True)
-    watchdog = threading.Timer(patience_s, process.kill)
+    watchdog = threading.Timer(PATIENCE_S, process.kill)
     watchdog.start()
     assert process.stdout is not None
     said = ""
@@ -189,40 +181,27 @@ def serve(arguments: list[str], takes: Path, patience_s: float) -> Iterator[Runn
             said += line
             if match := re.search(r"the page: (http\S+)", line):
                 threading.Thread(target=process.stdout.read, daemon=True).start()
-                yield RunningPage(match[1], takes)
+                yield match[1]
                 break
         else:
             pytest.fail(said)
     finally:
         watchdog.cancel()
         process.terminate()
-        process.wait(patience_s)
-
-
-@pytest.fixture()
-def page(built_in_session: Path, tmp_path: Path):
-    """The page of a graph that plays the session over and over."""
-    graph = ["up", built_in_session, "--loop", "--rate", "0.2", "--run-folder", tmp_path / "run", "--view"]
-    yield from serve([*graph, "--takes", tmp_path / "takes"], tmp_path / "takes", 4 * PATIENCE_S)
-
-
-@pytest.fixture()
-def page_of_a_take(tmp_path: Path):
-    """The page of a recorded take, without a graph."""
-    takes = tmp_path / "takes"
-    finish_take(write_take(takes / "drill", 100))
-    yield from serve(["view", takes / "drill"], takes, PATIENCE_S)
+        process.wait(PATIENCE_S)
 
 
 @pytest.mark.slow
-def test_a_take_is_played_and_kept_by_buttons(page_of_a_take):
-    with browser() as tab:
-        tab.open(page_of_a_take.address)
+def test_a_take_is_played_and_kept_by_buttons(tmp_path):
+    takes = tmp_path / "takes"
+    finish_take(write_take(takes / "drill", 100))
+    with browser() as tab, served("view", takes / "drill") as address:
+        tab.open(address)
         tab.wait_for_text("drill: its first pose, at 0.00 s")
         tab.wait_for_text("sets/s")
         tab.wait_for_value("take", "drill")
         look(tab)
-        keep(tab, page_of_a_take.takes)
+        keep(tab, takes)
 
 
 def look(tab: Browser) -> None:
@@ -236,29 +215,27 @@ def look(tab: Browser) -> None:
 
 
 @pytest.mark.slow
-def test_the_graph_is_run_and_a_take_recorded_by_buttons(page):
-    with browser() as tab:
-        tab.open(page.address)
+def test_the_graph_is_run_and_a_take_recorded_by_buttons(built_in_session, tmp_path):
+    """Suspend, start, reset; look at the hull and at every camera's picture; record."""
+    takes = tmp_path / "takes"
+    graph = ["up", built_in_session, "--loop", "--rate", "0.2", "--run-folder", tmp_path / "run", "--view"]
+    with browser() as tab, served(*graph, "--takes", takes) as address:
+        tab.open(address)
         tab.wait_for_text("tracking")
-        drive_the_graph(tab)
-        record(tab, page.takes)
-
-
-def drive_the_graph(tab: Browser) -> None:
-    """Suspend, start, reset; look at the hull and at every camera's picture."""
-    tab.press("suspend")
-    tab.wait_for_text("nodes are inactive")
-    tab.press("start")
-    tab.wait_for_text("nodes are active")
-    tab.press("reset")
-    tab.wait_for_text("icp_tracker: looking for the first pose again")
-    tab.check("hull voxels")
-    tab.press("Cameras")
-    tab.check("pictures")
-    tab.wait_for("document.querySelectorAll('img[src^=\"blob:\"]').length === 5")
-    tab.check("pictures")
-    tab.press("Live")
-    tab.check("hull voxels")
+        tab.press("suspend")
+        tab.wait_for_text("nodes are inactive")
+        tab.press("start")
+        tab.wait_for_text("nodes are active")
+        tab.press("reset")
+        tab.wait_for_text("icp_tracker: looking for the first pose again")
+        tab.check("hull voxels")
+        tab.press("Cameras")
+        tab.check("pictures")
+        tab.wait_for("document.querySelectorAll('img[src^=\"blob:\"]').length === 5")
+        tab.check("pictures")
+        tab.press("Live")
+        tab.check("hull voxels")
+        record(tab, takes)
 
 
 def record(tab: Browser, takes: Path) -> None:

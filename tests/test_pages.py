@@ -5,7 +5,6 @@ import ast
 import re
 import shlex
 from collections.abc import Iterator
-from functools import cache
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
@@ -174,19 +173,14 @@ def documented(beginning: str) -> list[tuple[str, str, bool]]:
     ]
 
 
-@cache
-def parser():
-    return build_parser()
-
-
 def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
-    commands, refused = documented("sagoma "), []
+    commands, parser, refused = documented("sagoma "), build_parser(), []
     assert len(commands) > 100
     for page, command, typed in commands:
         if SHORTENED.search(command):
             continue
         try:
-            parser().parse_args(shlex.split(command)[1:])
+            parser.parse_args(shlex.split(command)[1:])
         except SystemExit as end:
             said = capsys.readouterr().err
             named_only = "are required" in said or "expected one argument" in said or "VERB" in command

@@ -28,10 +28,6 @@ SETTINGS = {"hull_server.backend": "cpu"}
 BESIDE = "/mocap/bodies/b0002"
 
 
-def frame_of(stamp_ns):
-    return round((stamp_ns - EPOCH_NS) * 1e-9 * FPS)
-
-
 @pytest.fixture(scope="module")
 def clip():
     """Silhouettes of both, then of the first one alone."""
@@ -73,7 +69,7 @@ def test_both_persons_are_in_the_bag_with_the_numbers_of_the_page(clip, bags):
         for step in pipeline.step_masks(EPOCH_NS + round(k * 1e9 / FPS), masks).people:
             if step.state is not None and step.state.tracking != "lost":
                 angles[step.person][k] = step.state.angles
-    tracks = tracks_from_bag(bags[0], frame_of)
+    tracks = tracks_from_bag(bags[0], lambda stamp_ns: round((stamp_ns - EPOCH_NS) * 1e-9 * FPS))
     assert list(tracks) == [1, 2]
     for person, track in tracks.items():
         assert track.frames.tolist() == list(angles[person])

@@ -11,25 +11,23 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from ekf_person import Person
+from ekf_probe import EkfProbe
 from geometry_msgs.msg import TransformStamped
+from hull_probe import HullProbe
 from node_probe import SUCCESS, NodeProbe
 from poses import random_pose
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from capture_rig import save_rig
-from ekf_tracker.ekf_node import EkfNode
 from ekf_tracker.urdf import body_urdf, link_name
-from hull_server.hull_node import HullNode
 from hull_server.hull_ros import camera_frames
-from mocap_packets.fit import ReferencePoints
-from mocap_packets.people import FittedPeople, PeoplePoints
 from sagoma_ros import poses as ros_poses
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_message
-from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.packets import read_reference_points
+from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
@@ -116,24 +114,19 @@ def taken(monkeypatch):
     return PUBLISHERS
 
 
-def rotation_of(transform):
-    q = transform.rotation
-    return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-
-
 def tree_of(transforms):
     """Frame -> its transform (4, 4) in map."""
     placed = {"map": np.eye(4)}
     for one in transforms:
-        t = one.transform.translation
-        local = homogeneous(rotation_of(one.transform), [t.x, t.y, t.z])
+        t, q = one.transform.translation, one.transform.rotation
+        local = homogeneous(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
         placed[one.child_frame_id] = placed[one.header.frame_id] @ local
     return placed
 
 
 @pytest.mark.parametrize("which", ["torso", "none"])
 def test_body_is_on_tf_beside_that_of_rep155_without_links_that_nobody_asked_for(open_probe, person, taken, which):
-    published = answered(open_probe, person, publish_tf=which, publish_humans=True)
+    published = follow(open_probe, person.body, [person.points(0.5)], publish_tf=which, publish_humans=True)
     bodies = [p for p in taken if p.topic == "/tf"]
     assert [len(p.messages) for p in bodies] == ([1] if which == "none" else [1, 1])  # one is that of REP-155
     transforms = [one for publisher in bodies for one in publisher.messages[-1].transforms]
@@ -147,8 +140,8 @@ def test_body_is_on_tf_beside_that_of_rep155_without_links_that_nobody_asked_for
 def test_links_on_tf_are_where_the_reference_points_are_over_the_track_of_a_moving_person(open_probe, person, taken):
     """Shoulders move against the torso: the URDF cannot follow, the limb is shifted, turned alike."""
     shrugs_m = 0.03 * np.sin(np.arange(30) / 3)
-    fitted = [measured(person.points(k / FPS) + up_m * SHOULDER_OF_ARM) for k, up_m in enumerate(shrugs_m)]
-    published = follow(open_probe, person.body, fitted, skeleton_rate_hz=0.0)
+    fitted = [person.points(k / FPS) + up_m * SHOULDER_OF_ARM for k, up_m in enumerate(shrugs_m)]
+    published = follow(open_probe, person.body, fitted)
     (publisher,) = (p for p in taken if p.topic == "/tf")
     assert len(publisher.messages) == len(published.points) == len(fitted)
     off_rigid = []
@@ -169,15 +162,6 @@ def test_links_on_tf_are_where_the_reference_points_are_over_the_track_of_a_movi
     assert 2 * MM < np.median(off_rigid) < 40 * MM  # 12 to 25 mm at the shoulders of tracked people: docs/ros.md
 
 
-def answered(open_probe, person, **parameters) -> "Published":
-    """Let a filter answer a set of somebody who is measured well."""
-    return follow(open_probe, person.body, [measured(person.points(0.5))], **parameters)
-
-
-def measured(points_world) -> ReferencePoints:
-    return ReferencePoints(points_world, np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
-
-
 class Published(NamedTuple):
     """What a filter published: points (15, 3), joint states and markers of each set, and its URDF."""
 
@@ -188,30 +172,26 @@ class Published(NamedTuple):
 
 
 def follow(open_probe, body, fitted, **parameters) -> Published:
-    """Let a filter answer one set of fitted points after the other, however long each takes on a busy machine."""
-    probe = open_probe(NodeProbe, EkfNode, {"stale_after_s": 0.0, **parameters})
-    sender = probe.peer.create_publisher(FITTED_PEOPLE.kind, FITTED_PEOPLE.name, RESULT)
-    clouds = probe.listen(PointCloud2, "mocap/reference_points")
-    joints = probe.listen(JointState, "mocap/joint_states")
-    markers = probe.listen(MarkerArray, "mocap/skeleton")
-    texts = probe.listen(String, "mocap/robot_description", LATCHED)
+    """Let a filter answer one set of fitted points (15, 3) after the other, however long each takes."""
+    probe = open_probe(EkfProbe, body, skeleton_rate_hz=0.0, **parameters)
+    probe.listen(String, "mocap/robot_description", LATCHED)
     probe.start()
-    link = f'"{probe.node.tf_prefix}{probe.node.settings.body_id}_'
-
-    def own() -> list[str]:  # latched texts of a filter before this one may be heard, too
-        return [text.data for text in texts if link in text.data]
-
-    probe.until(sender.get_subscription_count)
-    probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in probe.heard))
     for number, points in enumerate(fitted):
         stamp_ns = START_NS + round(number * 1e9 / FPS)
-        people, frame_id = FittedPeople(stamp_ns, PeoplePoints({1: points}), {1: body}), probe.node.settings.frame_id
-        sender.publish(tables_message(people, frame_id))
-        probe.until(lambda: min(map(len, (clouds, markers, joints))) > number and own())  # noqa: B023
-    points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
-    published = Published(points, list(joints), list(markers), own()[0])
-    assert probe.node.trigger_deactivate() == probe.node.trigger_cleanup() == SUCCESS  # a second filter is alone
-    return published
+        probe.fit(stamp_ns, points, frame_id=probe.node.settings.frame_id)
+
+    def of(topic: str) -> list:
+        return [message for name, message in probe.arrived if name == f"mocap/{topic}"]
+
+    def own() -> list[str]:  # latched texts of a filter before this one may be heard, too
+        link = f'"{probe.node.tf_prefix}{probe.node.settings.body_id}_'
+        return [text.data for text in of("robot_description") if link in text.data]
+
+    shown = "reference_points", "joint_states", "skeleton"
+    probe.until(lambda: own() and all(len(of(topic)) == len(fitted) for topic in shown))
+    points = [read_reference_points(cloud, "test").points_world for cloud in of("reference_points")]
+    probe.close()  # a second filter is alone
+    return Published(points, of("joint_states"), of("skeleton"), own()[0])
 
 
 @pytest.fixture
@@ -220,9 +200,7 @@ def hull(open_probe, tmp_path):
     save_rig(RIG, tmp_path / "rig.yaml")
 
     def configured(**parameters) -> NodeProbe:
-        probe = open_probe(
-            NodeProbe, HullNode, {"rig_file": str(tmp_path / "rig.yaml"), "backend": "cpu", **parameters}
-        )
+        probe = open_probe(HullProbe, None, rig_file=str(tmp_path / "rig.yaml"), **parameters)
         assert probe.node.trigger_configure() == SUCCESS
         return probe
 
@@ -250,7 +228,7 @@ def test_two_graphs_in_one_domain_share_no_frame_and_no_id_of_a_person(open_prob
     named = []
     for prefix in ("", "studio_"):
         hull(tf_prefix=prefix)
-        published = answered(open_probe, person, publish_humans=True, tf_prefix=prefix)
+        published = follow(open_probe, person.body, [person.points(0.5)], publish_humans=True, tf_prefix=prefix)
         transforms = [one for publisher in taken for message in publisher.messages for one in message.transforms]
         frames_of = {one.header.frame_id for one in transforms} | {one.child_frame_id for one in transforms}
         links = {link.get("name") for link in ElementTree.fromstring(published.described).findall("link")}

@@ -12,28 +12,11 @@ import yaml
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
-KEYS = {
-    "c3d": "python3-c3d-pip",
-    "cv2": "python3-opencv-headless-pip",
-    "gi": "python3-gi",
-    "hypothesis": "python3-hypothesis",
-    "matplotlib": "python3-matplotlib",
-    "mcap": "python3-mcap-pip",
-    "numba": "python3-numba-pip",
-    "numpy": "python3-numpy",
-    "OpenGL": "python3-opengl",
-    "psutil": "python3-psutil",
-    "pygltflib": "python3-pygltflib-pip",
-    "pytest": "python3-pytest",
-    "pythonosc": "python3-python-osc-pip",
-    "rich": "python3-rich",
-    "rosbags": "python3-rosbags-pip",
-    "scipy": "python3-scipy",
-    "skimage": "python3-skimage",
-    "viser": "python3-viser-pip",
-    "websockets": "python3-websockets",
-    "yaml": "python3-yaml",
-}
+PACKAGED = "gi hypothesis matplotlib numpy OpenGL psutil pytest rich scipy skimage websockets yaml"
+FROM_PIP = "c3d mcap numba pygltflib rosbags viser"
+KEYS = {"cv2": "python3-opencv-headless-pip", "pythonosc": "python3-python-osc-pip"}
+KEYS |= {module: f"python3-{module.lower()}" for module in PACKAGED.split()}
+KEYS |= {module: f"python3-{module}-pip" for module in FROM_PIP.split()}
 """Python modules -> rosdep keys."""
 ROSDEP = yaml.safe_load((ROOT / "rosdep.yaml").read_text())
 """Our own keys, with the rules of each system."""

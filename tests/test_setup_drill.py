@@ -6,7 +6,7 @@ from pathlib import Path
 import film_webcam
 import numpy as np
 import pytest
-from command_line import Graph, calibrated, run
+from command_line import Graph, run
 from film_webcam import let_in
 from heard import Heard
 from sensor_msgs.msg import JointState
@@ -112,7 +112,11 @@ def write_cameras(folder: Path, rig: Path, session: Path) -> Path:
 @pytest.mark.slow
 def test_webcams_without_a_trigger_are_set_up_and_a_person_is_tracked(filmed, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(film_webcam.__file__).parent), prepend=":")
-    rig, bag, T_world_floor = calibrated(filmed, tmp_path), tmp_path / "bag", read_truth_floor(filmed)
+    lenses, rig, bag = tmp_path / "lenses", tmp_path / "rig.yaml", tmp_path / "bag"
+    run("calibrate", "intrinsics", filmed / "intrinsics", "--board", filmed / "board.yaml", "--output", lenses)
+    given = ("--intrinsics", lenses, "--board", filmed / "floor_board.yaml", "--output", rig)
+    run("calibrate", "extrinsics", *given, "--floor", filmed / "floor", "--moving", filmed / "moving")
+    T_world_floor = read_truth_floor(filmed)
     for camera in camera_errors(load_rig(rig), load_rig(filmed / "truth_rig.yaml"), T_world_floor):
         assert camera.focal_percent < 0.2 and camera.principal_px < 1.5
         assert camera.centre_mm < 8.0 and camera.rotation_deg < 0.2

@@ -21,15 +21,6 @@ def run(*words: object) -> str:
     return done.stdout
 
 
-def calibrated(filmed: Path, folder: Path) -> Path:
-    """The rig file of cameras whose boards were filmed (virtual_studio's ``write_setup``)."""
-    lenses, rig = folder / "lenses", folder / "rig.yaml"
-    run("calibrate", "intrinsics", filmed / "intrinsics", "--board", filmed / "board.yaml", "--output", lenses)
-    given = ("--intrinsics", lenses, "--board", filmed / "floor_board.yaml", "--output", rig)
-    run("calibrate", "extrinsics", *given, "--floor", filmed / "floor", "--moving", filmed / "moving")
-    return rig
-
-
 class Graph:
     """``sagoma up`` as a process; its end is asked for as by Ctrl-C. ``active`` : set when it says that nodes are."""
 

@@ -107,14 +107,14 @@ def _enlarged(valid: Any, rng: np.random.Generator) -> Any:
 # --- of single types
 
 
-def png_bomb(width: int = BOMB_PX, height: int = BOMB_PX) -> bytes:
-    """A small PNG whose header claims ``width`` x ``height`` grey pixels, and whose data inflates to all of them."""
+def png_bomb() -> bytes:
+    """A small PNG whose header claims BOMB_PX x BOMB_PX grey pixels."""
     row = zlib.compress(bytes(MIB), 9)
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", BOMB_PX, BOMB_PX, 8, 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", row) + chunk(b"IEND", b"")
 
 

@@ -36,7 +36,6 @@ def tell(**what: Any) -> None:
 
 
 def on_frame_set(message: DiagnosticArray) -> None:
-    """Print a frame set."""
     values = {pair.key: pair.value for pair in message.status[0].values}
     times = {key: float(values[key]) for key in ("spread_ms", "received_ms")}
     tell(stamp_ns=to_ns(message.header.stamp), missing=[name for name in values["missing"].split(",") if name], **times)
@@ -49,7 +48,6 @@ def on_answer(message: MultiDOFJointState) -> None:
 
 
 def on_points(message: PointCloud2) -> None:
-    """Print a tracked body."""
     points_world = read_reference_points(message, POINTS_TOPIC).points_world
     tell(stamp_ns=to_ns(message.header.stamp), points=points_world.round(4).tolist())
 

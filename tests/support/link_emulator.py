@@ -12,6 +12,7 @@ the other. It ends with its input.
 from __future__ import annotations
 
 import argparse
+import array
 import fcntl
 import heapq
 import json
@@ -133,15 +134,12 @@ def end_offload(interface: str) -> None:
     """Let the kernel finish packets itself: checksums and segments."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         for setting in (TX_CHECKSUM, TSO, GSO):
-            import array
-
             value = array.array("B", struct.pack("II", setting, 0))
             request = struct.pack("16sP", interface.encode(), value.buffer_info()[0]) + bytes(16)
             fcntl.ioctl(link, SIOCETHTOOL, request)
 
 
 def main() -> int:
-    """Parse the arguments and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-offload", metavar="INTERFACE")

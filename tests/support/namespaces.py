@@ -160,7 +160,6 @@ class Cable:
             time.sleep(POLL_S)
 
     def set(self, condition: Condition) -> None:
-        """Put the cable into this condition."""
         emulated = condition.is_packetwise
         self._world.emulate(self._inner, self.port, condition if emulated else None)
         if emulated:
@@ -177,11 +176,9 @@ class Cable:
                     run(f"tc qdisc del dev {device} root")
 
     def cut(self) -> None:
-        """Pull the plug."""
         sh(f"ip link set {self.port} down")
 
     def mend(self) -> None:
-        """Put it in again."""
         sh(f"ip link set {self.port} up")
 
     def pass_multicast(self, passes: bool) -> None:

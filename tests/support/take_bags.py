@@ -39,7 +39,7 @@ def write_take(
     *,
     doubtful: range = range(0),
     lost: range = range(0),
-    missing: range = range(0),
+    missing: Sequence[int] = (),
     masks: Mapping[str, np.ndarray] | None = None,
     prefixes: Sequence[str] = ("/mocap",),
 ) -> Path:

@@ -1,10 +1,12 @@
 """What other programs get of a person, read by clients that share no code with the bridges."""
 
+import select
 import socket
 
 import numpy as np
 import pytest
 from node_probe import FAILURE, NodeProbe
+from poses import angles_with
 from pythonosc.osc_bundle import OscBundle
 from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
 
@@ -21,7 +23,7 @@ from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, stick_frames
 from stick_figure.pose import JointMotion, Pose
-from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
+from stick_figure.skeleton import POINT_NAMES
 
 BODY = Body.from_stature(1.8)
 STANDING_M = np.array([0.4, -0.3, 1.2])
@@ -29,9 +31,7 @@ STANDING_M = np.array([0.4, -0.3, 1.2])
 
 def pose_of(lean=(0.0, 0.0, 0.0), place=STANDING_M, **degrees) -> Pose:
     """A T-pose but for the joint angles given; ``lean`` is a rotation vector."""
-    angles = T_POSE_ANGLES.copy()
-    for name, value in degrees.items():
-        angles[ANGLE_NAMES.index(name)] = np.deg2rad(value)
+    angles = angles_with(**{name: np.deg2rad(value) for name, value in degrees.items()})
     return Pose.from_angles(place, rotation_matrix(np.array(lean)), angles)
 
 
@@ -158,20 +158,12 @@ def in_unity(point_world):
 def test_an_avatar_takes_the_person_s_posture_and_place_with_all_bones_or_those_it_must_have(open_probe):
     receiver, received = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), []
     receiver.bind(("127.0.0.1", 0))
-    receiver.setblocking(False)
-
-    def arrived():
-        try:
-            received.append(receiver.recv(65535))
-        except BlockingIOError:
-            return False
-        return True
-
     with receiver:
         probe = open_probe(BridgeProbe, VmcBridge, port=receiver.getsockname()[1]).start()
         for pose in (pose_of(), BENT):
             probe.publish(pose)
-            probe.until(arrived, "a bundle")
+            probe.until(lambda: select.select([receiver], [], [], 0.0)[0], "a bundle")
+            received.append(receiver.recv(65535))
     at_rest, bent = ([(each.address, each.params) for each in OscBundle(datagram)] for datagram in received)
     assert [address for address, _ in bent].count("/VMC/Ext/Bone/Pos") == len(BONES) + len(RIGID)
     assert ("/VMC/Ext/OK", [1]) in bent

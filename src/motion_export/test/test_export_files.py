@@ -165,7 +165,6 @@ def test_sizes_of_the_model_are_the_persons(tmp_path: Path) -> None:
 
 
 def accessor(document: gltf.GLTF2, number: int) -> np.ndarray:
-    """The numbers of a float accessor."""
     description = document.accessors[number]
     assert description.componentType == gltf.FLOAT
     width, offset = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[description.type], description.byteOffset or 0
@@ -175,7 +174,6 @@ def accessor(document: gltf.GLTF2, number: int) -> np.ndarray:
 
 
 def sample(times: np.ndarray, values: np.ndarray, time_s: float, path: str) -> np.ndarray:
-    """A channel's value between its keys."""
     if path == "rotation":
         return Slerp(times[:, 0], Rotation.from_quat(values))(time_s).as_quat()
     return np.array([np.interp(time_s, times[:, 0], column) for column in values.T])

@@ -4,21 +4,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from poses import angles_with
 
 from capture_rig.rigid import rotation_matrix
 from motion_export.isb_angles import isb_angles
 from stick_figure.kinematics import stick_frames
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
 
 HANGING = {"left_shoulder_x": -90.0, "right_shoulder_x": 270.0}
 
 
 def angles_of(lean: np.ndarray | None = None, **degrees: float) -> dict[str, float]:
     """The angles in a posture: those of hanging arms but for the joint angles given; ``lean`` is a rotation vector."""
-    angles = T_POSE_ANGLES.copy()
-    for name, value in {**HANGING, **degrees}.items():
-        angles[ANGLE_NAMES.index(name)] = np.deg2rad(value)
+    angles = angles_with(**{name: np.deg2rad(value) for name, value in {**HANGING, **degrees}.items()})
     pose = Pose.from_angles(np.zeros(3), rotation_matrix(np.zeros(3) if lean is None else lean), angles)
     motion = SimpleNamespace(tracked=np.ones(2, bool), R_world_sticks=np.tile(stick_frames(pose), (2, 1, 1, 1)))
     return {name: float(values[0]) for name, values in isb_angles(motion).items()}

@@ -13,9 +13,10 @@ RING4 = CONFIG / "rig" / "ring4.yaml"
 SERVER = ["/hull_server", "/icp_tracker", "/ekf_tracker"]
 
 
-def camera_file(folder, name, **parameters):
-    document = {f"/{name}/camera_client": {"ros__parameters": {"camera_name": name, **parameters}}}
-    (folder / f"{name}.yaml").write_text(yaml.safe_dump(document))
+def camera_files(folder, count, **parameters):
+    for name in (f"cam{number:02d}" for number in range(1, count + 1)):
+        document = {f"/{name}/camera_client": {"ros__parameters": {"camera_name": name, **parameters}}}
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(document))
 
 
 def test_session_gives_the_server_and_one_camera_node_a_video(session):
@@ -69,16 +70,13 @@ def test_a_part_of_the_graph_is_picked_by_its_name_and_a_rig_alone_is_the_server
 
 @pytest.mark.parametrize(("clock_speed", "lossless"), [(1.0, False), (0.25, True)])
 def test_server_leaves_nothing_out_for_cameras_in_slow_motion(tmp_path, clock_speed, lossless):
-    for name in ("cam01", "cam02", "cam03", "cam04"):
-        camera_file(tmp_path, name, aravis={"clock_speed": clock_speed})
+    camera_files(tmp_path, 4, aravis={"clock_speed": clock_speed})
     hull = build_graph(rig=RING4, cameras=tmp_path)[0]
     assert hull.parameters.get("reliable", False) == lossless
 
 
 def test_cameras_without_a_rig_are_driven_by_whoever_starts_them(tmp_path):
-    for name in ("cam01", "cam02"):
-        text = f"/{name}/camera_client: {{ros__parameters: {{autostart: true, source: aravis}}}}"
-        (tmp_path / f"{name}.yaml").write_text(text)
+    camera_files(tmp_path, 2, autostart=True, source="aravis")
     graph = build_graph(cameras=tmp_path)
     assert [node.full_name for node in graph] == ["/cam01/camera_client", "/cam02/camera_client"]
     assert all(node.parameters["autostart"] is False and "rig_file" not in node.parameters for node in graph)
@@ -86,39 +84,34 @@ def test_cameras_without_a_rig_are_driven_by_whoever_starts_them(tmp_path):
 
 @pytest.mark.parametrize("count", [2, 5])
 def test_cameras_that_are_not_those_of_the_rig_are_an_error(tmp_path, count):
-    for number in range(1, count + 1):
-        camera_file(tmp_path, f"cam{number:02d}")
+    camera_files(tmp_path, count)
     with pytest.raises(InputError, match=r"cam01, cam02.*; the cameras of .* are cam01, cam02, cam03, cam04"):
         build_graph(rig=RING4, cameras=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "no key"),
-        ("- a", "is not a mapping"),
-        ("a: [", "is not valid YAML"),
-        ("/cam01/hull_server: {ros__parameters: {}}", "/CAMERA/camera_client"),
-        ("/cam01/camera_client: {parameters: {}}", "ros__parameters"),
-    ],
-)
-def test_camera_file_of_another_shape_is_an_error(tmp_path, text, message):
-    (tmp_path / "cam01.yaml").write_text(text)
-    with pytest.raises(InputError, match=message):
-        build_graph(cameras=tmp_path / "cam01.yaml")
+OF_ONE = {"cameras": "cam01.yaml"}
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("text", "given", "message"),
     [
-        ({"rig": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
-        ({"rig": RING4, "cameras": "."}, "no camera parameter file"),
-        ({"rig": RING4, "body": "body.yaml"}, r"body\.yaml: there is no such file"),
-        ({}, "neither a session nor a rig"),
+        ("", OF_ONE, "no key"),
+        ("- a", OF_ONE, "is not a mapping"),
+        ("a: [", OF_ONE, "is not valid YAML"),
+        ("/cam01/hull_server: {ros__parameters: {}}", OF_ONE, "/CAMERA/camera_client"),
+        ("/cam01/camera_client: {parameters: {}}", OF_ONE, "ros__parameters"),
+        (None, {"rig": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
+        (None, {"rig": RING4, "cameras": "."}, "no camera parameter file"),
+        (None, {"rig": RING4, "body": "body.yaml"}, r"body\.yaml: there is no such file"),
+        (None, {}, "neither a session nor a rig"),
     ],
 )
-def test_missing_files_are_errors_that_name_them(tmp_path, monkeypatch, given, message):
+def test_missing_files_and_those_of_another_shape_are_errors_that_name_them(
+    tmp_path, monkeypatch, text, given, message
+):
     monkeypatch.chdir(tmp_path)
+    if text is not None:
+        Path("cam01.yaml").write_text(text)
     with pytest.raises(InputError, match=message):
         build_graph(**given)
 

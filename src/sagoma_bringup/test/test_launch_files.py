@@ -56,7 +56,9 @@ def test_a_launch_file_starts_the_graph_of_build_graph(path, server, session):
     given = {"session": session, "rate": 1.0} if path == DEMO else arguments_for(path, body=BODY)
     settings = {"icp_tracker.initial_pose.source": "auto", **(PLAY_IN_STEP if path == DEMO else {})}
     graph = [node.with_parameters({"autostart": True}) for node in build_graph(**given, settings=settings)]
-    assert of_launch(launched(path, **given, server=server)) == of_graph(processes_of(graph, server))
+    nodes = launched(path, **given, server=server)
+    assert of_launch(nodes) == of_graph(processes_of(graph, server))
+    assert path == DEMO or {(node.respawn, node.respawn_delay) for node in nodes} == {(True, RESTART_DELAY_S)}
 
 
 def test_the_camera_launch_files_start_the_client_of_one_camera(tmp_path, monkeypatch):
@@ -99,16 +101,6 @@ def test_the_whole_graph_stands_below_a_namespace(argument, pushed, expected):
     assert found == [expected, *(f"{expected}/cam0{k}" for k in range(1, 5))]
     prefixes = {each.get("tf_prefix", "") for node in nodes for each in parameters_of(node).values()}
     assert prefixes == {argument and f"{argument}_"}
-
-
-# --- nodes that die
-
-
-@pytest.mark.parametrize("path", RIG_FILES, ids=lambda path: path.name)
-def test_a_node_that_dies_is_started_again(path):
-    assert {(node.respawn, node.respawn_delay) for node in launched(path, **arguments_for(path))} == {
-        (True, RESTART_DELAY_S)
-    }
 
 
 # --- what is refused, before anything starts

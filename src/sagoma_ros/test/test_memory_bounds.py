@@ -99,7 +99,7 @@ def test_a_profile_of_the_user_is_left_alone() -> None:
 
 
 @pytest.mark.parametrize("profile", [PROFILE, FOR_SEVERAL_MACHINES], ids=["one machine", "several"])
-def test_profiles_free_what_was_taken_and_leave_discovery_as_ros_has_it(profile: Path) -> None:
+def test_profiles_free_what_was_taken_and_let_a_new_process_find_a_node_within_a_second(profile: Path) -> None:
     space = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
     root = ElementTree.parse(profile).getroot()
     for end in ("data_writer", "data_reader"):
@@ -110,6 +110,8 @@ def test_profiles_free_what_was_taken_and_leave_discovery_as_ros_has_it(profile:
     (builtin,) = root.iter(space + "builtin")
     for end in ("reader", "writer"):
         assert builtin.findtext(f"{space}{end}HistoryMemoryPolicy") == "PREALLOCATED_WITH_REALLOC"
+    (announcement,) = builtin.iter(space + "leaseAnnouncement")
+    assert announcement.findtext(space + "sec") == "0" < announcement.findtext(space + "nanosec", "")
 
 
 # --- Python's garbage collection

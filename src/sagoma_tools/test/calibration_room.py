@@ -36,10 +36,7 @@ def three_cameras() -> dict[str, CameraModel]:
 
 def on_floor(board: Board, turn: float = 0.0) -> np.ndarray:
     """T_world_board of a board whose middle lies at the origin."""
-    T = np.eye(4)
-    T[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
-    T[:3, 3] = -T[:3, :3] @ board.corners_board.mean(axis=0)
-    return T
+    return held(board, (0.0, 0.0, 0.0), (0.0, 0.0, turn))
 
 
 def held(board: Board, place: tuple[float, float, float], lean: tuple[float, float, float]) -> np.ndarray:

@@ -21,24 +21,11 @@ START_TIMEOUT_S = 60.0
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _graphs_start_within_a_minute() -> Iterator[None]:
-    with graphs_start_within(START_TIMEOUT_S):
+def _graphs_start_soon() -> Iterator[None]:
+    """Their processes find tiny_lifecycle_node.py."""
+    with graphs_start_within(START_TIMEOUT_S), pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]))
         yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _tiny_node_is_importable():
-    """The processes that these tests start find tiny_lifecycle_node.py."""
-    patch = pytest.MonkeyPatch()
-    patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]))
-    yield
-    patch.undo()
-
-
-@pytest.fixture(autouse=True)
-def _graphs_settle_soon(monkeypatch):
-    """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
-    monkeypatch.setattr("sagoma_tools.graph.ros_link.ROUND_S", 0.2)
 
 
 @pytest.fixture(scope="session")

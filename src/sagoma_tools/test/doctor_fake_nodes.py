@@ -68,7 +68,6 @@ class FakeCamera(FakeNode):
 
 @contextmanager
 def fake_server(domain_id: int | None = None) -> Iterator[None]:
-    """The server's nodes."""
     with ExitStack() as nodes:
         for name in ("hull_server", "icp_tracker", "ekf_tracker"):
             nodes.enter_context(FakeNode(name, domain_id=domain_id))

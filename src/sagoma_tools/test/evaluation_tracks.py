@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from poses import angles_with
 from scipy.spatial.transform import Rotation
 
 from capture_rig.session import Truth
@@ -10,7 +11,7 @@ from mocap_packets.fit import GOOD
 from sagoma_tools.evaluation.track import Track
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 SLOT = {name: slot for slot, name in enumerate(ANGLE_NAMES)}
@@ -23,10 +24,7 @@ def turns(frames):
 
 def walker(frames=40, aside_m=0.0, **angles_rad):
     """Points (F, 15, 3) and angles (F, 18) of a figure that turns and moves on, with constant joint angles."""
-    angles = T_POSE_ANGLES.copy()
-    for name, value in angles_rad.items():
-        angles[SLOT[name]] = value
-    body = Body.from_stature(1.75)
+    body, angles = Body.from_stature(1.75), angles_with(**angles_rad)
     poses = [Pose.from_angles([0.01 * k, aside_m, 1.0], R, angles) for k, R in enumerate(turns(frames))]
     return np.stack([forward(body, pose) for pose in poses]), np.tile(angles, (frames, 1))
 

@@ -155,7 +155,7 @@ OFFSETS = {"C1": (10.0, 31.4, 2.0), "C2": (7.0, 21.4, 2.0), "C3": (3.5, 22.4, 2.
 FIRST_IMAGE = {"C1": 5, "C2": 7, "C3": 3, "BW1": 1}
 """Hence the image of each camera at mocap frame 21.4, which is common frame 1."""
 FIRST_MOCAP = 21.4
-LAST_COMMON, FLASH_COMMON = 38, 25
+LAST_COMMON = 38
 DROPOUTS = {"C7": (1, 34), "LKNE": (40, 43), "PELA": (60, 60)}
 """Labels that are zero from one mocap frame to another, both included."""
 
@@ -168,7 +168,7 @@ class DataSet(NamedTuple):
 
 
 def write_data_set(root: Path) -> DataSet:
-    """The trial as files: four cameras that do not start together, motion capture with dropouts, a flash of light."""
+    """The trial as files: four cameras that do not start together, motion capture with dropouts."""
     body = Body.from_stature(1.78)
     played = walk(body, BEGIN_S + 1.05, GRID_HZ)
     folders = {name: root / "S2" / name for name in ("Image_Data", "Calibration_Data", "Sync_Data", "Mocap_Data")}
@@ -189,7 +189,7 @@ def write_data_set(root: Path) -> DataSet:
         room = cv2.GaussianBlur(rng.uniform(40, 110, (240, 320)), (0, 0), 3.0)
         images = []
         for n in range(1, FIRST_IMAGE[name] + LAST_COMMON):
-            image = room * (2.0 if n == FIRST_IMAGE[name] + FLASH_COMMON - 1 else 1.0)
+            image = room.copy()
             image[60:200, 4 * n : 4 * n + 40] = 30.0  # somebody walks by
             images.append(_tint(image, name))
         write_avi(folders["Image_Data"] / f"Walking_1_({name}).avi", images)

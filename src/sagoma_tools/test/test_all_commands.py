@@ -14,12 +14,9 @@ from sagoma_tools.cli import COMMANDS, build_parser, main
 from sagoma_tools.console import BAD_INPUT, HELP, INTERRUPTED, NO_READER, commands_of
 
 ROOT = Path(__file__).resolve().parents[3]
-EVERY = sorted(name for name, _, _ in commands_of(build_parser()))
-
-
-@pytest.fixture(scope="module")
-def parser():
-    return build_parser()
+RING4 = ROOT / "config" / "rig" / "ring4.yaml"
+PARSER = build_parser()
+EVERY = sorted(name for name, _, _ in commands_of(PARSER))
 
 
 def test_the_tables_name_every_command_and_no_other():
@@ -27,13 +24,13 @@ def test_the_tables_name_every_command_and_no_other():
     assert {name.split()[0] for name in EVERY} == {one for commands in COMMANDS.values() for one in commands}
 
 
-def test_the_page_of_commands_is_printed_from_the_table(parser):
+def test_the_page_of_commands_is_printed_from_the_table():
     remedy = "run: python scripts/commands_page.py > docs/commands.md"
-    assert (ROOT / "docs" / "commands.md").read_text() == commands_page.page(parser), remedy
+    assert (ROOT / "docs" / "commands.md").read_text() == commands_page.page(PARSER), remedy
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_help_has_what_the_command_does_statuses_and_examples_that_can_be_given(name, parser, capsys, monkeypatch):
+def test_help_has_what_the_command_does_statuses_and_examples_that_can_be_given(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as ended:
         main([*name.split(), "--help"])
@@ -44,7 +41,7 @@ def test_help_has_what_the_command_does_statuses_and_examples_that_can_be_given(
     others = [line for line in said.splitlines() if not line.startswith("  sagoma ")]
     assert all(len(line) <= 80 or " " not in line.strip() for line in others)
     for example in HELP[name].examples if name in HELP else ():
-        assert f"  sagoma {example}\n" in said and parser.parse_args(shlex.split(example)).command == name
+        assert f"  sagoma {example}\n" in said and PARSER.parse_args(shlex.split(example)).command == name
 
 
 @pytest.mark.parametrize("name", ["demo", "takes verify", "studio"])
@@ -118,8 +115,7 @@ def test_what_is_missing_or_broken_is_named_with_a_remedy(line, name, tmp_path, 
     (tmp_path / "broken").mkdir()
     for broken in ("broken.yaml", *(f"broken/{file}" for file in ("rig.yaml", "metadata.yaml", "a.mcap"))):
         (tmp_path / broken).write_bytes(b"\x00\xffno such thing: [")
-    rig = ROOT / "config" / "rig" / "ring4.yaml"
-    for word, value in (("FOLDER", name), ("FILE", f"{name}.yaml"), ("RIG", str(rig))):
+    for word, value in (("FOLDER", name), ("FILE", f"{name}.yaml"), ("RIG", str(RING4))):
         line = line.replace(word, value)
     status = main(shlex.split(line))
     said = capsys.readouterr()
@@ -129,6 +125,44 @@ def test_what_is_missing_or_broken_is_named_with_a_remedy(line, name, tmp_path, 
     assert name in said.err + said.out, said
     if "doctor" not in line and "takes" not in line:
         assert said.err.startswith("sagoma: ")
+
+
+EXTRINSICS = "calibrate extrinsics --intrinsics none --board 'checkerboard 7x4 120mm' "
+INTRINSICS = "calibrate intrinsics --board 'checkerboard 9x6 100mm' "
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("replay bag --graph --lockstep", "--graph and --output belong together"),
+        ("replay bag --output out", "--graph and --output belong together"),
+        ("replay bag --graph --output out", "with --lockstep"),
+        (f"replay {'x' * 5000}", "there is no such bag"),
+        ("record bag --namespace 'my studio'", "--namespace"),
+        ("background --wait 0.3", "found 0 camera clients"),
+        (f"up --rig {RING4} --set hull_server.voxel_size_m=[1", "--set hull_server.voxel_size_m: is not"),
+        (f"up --rig {RING4} --set hull_server.voxel_size_m", "'hull_server.voxel_size_m' has no value"),
+        ("studio set gain=[1", "sagoma studio: gain: is not valid YAML"),
+        *((f"view --host '{host}'", f"--host: cannot listen on '{host}'") for host in ("", "203.0.113.7", "a" * 100)),
+        (INTRINSICS, "give either footage or --topic"),
+        (INTRINSICS + "somewhere --topic /cam01/image_raw", "give either footage or --topic"),
+        (EXTRINSICS, "no pictures are given"),
+        (EXTRINSICS + "--floor-points points.yaml --floor floor", "both give the floor"),
+        (EXTRINSICS + "--floor floor --floor-at 12", "other pictures show the floor"),
+        (EXTRINSICS + "--moving moving --floor-at soon", "'soon' is no frame"),
+        (EXTRINSICS + "--floor floor --origin there", "--origin: 'there' cannot be read"),
+        (EXTRINSICS + "--floor floor --check cam01 cam02 far", "--check: 'far' cannot be read"),
+        (EXTRINSICS + "--floor floor --check cam01 cam02 1e300", "--check: '1e300' cannot be read"),
+        (EXTRINSICS + "--wand wand", "the wand's markers are not given"),
+        (EXTRINSICS + "--moving", "--moving: no footage is given"),
+        (EXTRINSICS + "--live --floor floor", "pictures come from the cameras"),
+    ],
+)
+def test_arguments_that_mean_nothing_or_contradict_each_other_are_refused(line, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(line)) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert said.startswith("sagoma: ") and words in said and not list(tmp_path.iterdir())
 
 
 def test_the_output_may_end_at_head():

@@ -17,16 +17,11 @@ ABSURD = ("nan", "inf", "-1e300", "1e300", "twelve", "")
 TEXTS = (None, str, Path)
 
 
-def parsers():
-    """Every command line of ours: its name and its parser."""
-    yield from ((name, leaf) for name, leaf, _ in commands_of(build_parser()))
-    yield "rendering", rendering._session_parser()
-    yield "rendering setup", rendering._setup_parser()
-
-
+PARSERS = {name: leaf for name, leaf, _ in commands_of(build_parser())}
+PARSERS |= {"rendering": rendering._session_parser(), "rendering setup": rendering._setup_parser()}
 OPTIONS = [
     pytest.param(parser, action, id=f"{name} {(action.option_strings or [action.dest])[0]}")
-    for name, parser in parsers()
+    for name, parser in PARSERS.items()
     for action in parser._actions
     if action.type not in TEXTS
 ]

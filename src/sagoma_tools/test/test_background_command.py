@@ -18,8 +18,8 @@ from camera_client.background.model import BackgroundLearner, load_background
 from camera_client.background.training import KEY, TrainingReport
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 from sagoma_tools.cli import main
-from sagoma_tools.commands.background import count_down, exit_status
-from sagoma_tools.graph.ros_link import RosLink, label_of
+from sagoma_tools.commands.background import count_down
+from sagoma_tools.graph.ros_link import RosLink
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
 NOISE = Finding(USABLE, "the noise is high", "lower the gain", "noise.high")
@@ -98,7 +98,8 @@ def test_every_camera_that_is_found_learns_and_the_worst_verdict_is_the_status(c
     ]
 
 
-def test_camera_without_frames_or_answer_is_named_and_the_others_keep_what_they_learned(clients, capsys):
+def test_camera_without_frames_or_answer_is_named_and_the_others_keep_what_they_learned(clients, capsys, monkeypatch):
+    monkeypatch.setattr("sagoma_tools.graph.background_training.ANSWER_S", 2.0)  # for a report that cam02 has not
     made = clients(cam01=[GOOD], cam02=["away"], cam03=["silent"], cam04=[f"{USABLE} lost"])
     status, said, result = learn(capsys, made, "--timeout", "1.5")
     assert (status, result["cam01"]["grade"]) == (2, GOOD)
@@ -126,13 +127,6 @@ def test_repeat_asks_only_those_that_need_it_and_those_that_must_be_redone_are_n
     assert (made["cam01"].asked, made["cam02"].asked) == (1, 2)
 
 
-def test_graph_without_camera_clients_is_an_input_error(capsys):
-    assert main(["background", "--wait", "0.3"]) == 2
-    assert "found 0 camera clients" in capsys.readouterr().err
-    assert exit_status([]) == 0  # no lesson at all is none that failed
-    assert label_of("/lab/cam01/camera_client") == "lab/cam01"
-
-
 def test_countdown_in_a_log_says_the_last_seconds_and_stops_when_told():
     log, stop = io.StringIO(), threading.Event()
     stop.set()
@@ -158,7 +152,7 @@ def saved(tmp_path):
     return tmp_path / "cam01.npz"
 
 
-def test_show_prints_where_a_background_comes_from_and_what_speaks_against_it_and_draws_it(saved, tmp_path, capsys):
+def test_show_draws_a_background_and_says_its_origin_and_what_speaks_against_it_or_has_changed(saved, tmp_path, capsys):
     assert main(["background", "show", str(saved), "--output", str(tmp_path / "pictures")]) == 0
     said = capsys.readouterr().out
     about = ("camera 10.0.0.1", "S1", "5000", "2026-03-01T08:00:00", "usable: a lamp blinks", "80 x 60 mono")
@@ -171,9 +165,6 @@ def test_show_prints_where_a_background_comes_from_and_what_speaks_against_it_an
     assert sigma[10, 50].tolist() == [0, 0, 255]
     assert main(["background", "show", str(saved), "--output", str(saved)]) == 2
     assert "cannot be made (File exists)" in capsys.readouterr().err
-
-
-def test_show_names_what_changed_since_another_background(saved, tmp_path, capsys):
     learner = BackgroundLearner()
     for image in noise(112, 5, seed=1):
         image[20:50, 20:32] = 190

@@ -24,6 +24,7 @@ from std_msgs.msg import String
 
 from capture_rig.errors import InputError
 from sagoma_ros.qos import LATCHED
+from sagoma_tools.cli import main
 from sagoma_tools.recording.reader import (
     TYPES,
     bag_cameras,
@@ -105,7 +106,7 @@ def test_frame_sets_pair_cameras_by_stamp_and_name_the_missing_one(two_camera_ba
             assert messages[1].data[-2] == k  # the mask of this very frame
 
 
-def test_digest_is_of_length_and_bytes_of_each_message_and_the_first_difference_names_message_and_byte(tmp_path):
+def test_digest_is_of_length_and_bytes_of_each_message_and_compare_names_the_first_difference(tmp_path, capsys):
     topic = "/mocap/joint_states"
     messages = [joint_state(EPOCH_NS + k, 0.1 * k) for k in range(4)]
     changed = [*messages[:2], messages[2][:-1] + b"\xff", *messages[3:]]
@@ -113,10 +114,17 @@ def test_digest_is_of_length_and_bytes_of_each_message_and_the_first_difference_
         write_joint_states(tmp_path / name, content)
     expected = hashlib.sha256(b"".join(struct.pack("<Q", len(m)) + m for m in messages)).hexdigest()
     assert bag_digest(tmp_path / "a")[topic].sha256 == expected
-    assert first_difference(tmp_path / "a", tmp_path / "same", topic) == ""
-    found = first_difference(tmp_path / "a", tmp_path / "b", topic)
-    assert f"message 2 differs first, from byte {len(messages[2]) - 1} on" in found
-    assert "short ends after 3 messages" in first_difference(tmp_path / "a", tmp_path / "short", topic)
+    for other, status, said in (
+        ("same", 0, "identical       4 messages"),
+        ("b", 1, f"{topic}: message 2 differs first, from byte {len(messages[2]) - 1} on"),
+        ("short", 1, "short ends after 3 messages"),
+    ):
+        assert main(["compare", str(tmp_path / "a"), str(tmp_path / other)]) == status
+        assert said in capsys.readouterr().out
+    with BagWriter(tmp_path / "inputs") as writer:
+        writer.add_topic("/cam01/camera_info", INFO)
+    assert main(["compare", str(tmp_path / "inputs"), str(tmp_path / "inputs")]) == 2
+    assert "neither bag holds" in capsys.readouterr().err
 
 
 def test_bytes_between_the_fields_do_not_count(tmp_path):
@@ -134,9 +142,7 @@ def test_bytes_between_the_fields_do_not_count(tmp_path):
     assert canonical_bytes(b"\x00\x01\x00\x00rubbish", "sensor_msgs/msg/JointState").endswith(b"rubbish")
 
 
-def test_missing_bag_bag_without_cameras_and_bag_to_be_replaced_are_input_errors(tmp_path):
-    with pytest.raises(InputError, match="there is no such bag"):
-        list(read_messages(tmp_path / "nothing"))
+def test_bag_without_cameras_and_bag_to_be_replaced_are_input_errors(tmp_path):
     write_joint_states(tmp_path / "outputs_only", [joint_state(EPOCH_NS, 0.0)])
     with pytest.raises(InputError, match="silhouette/compressed"):
         input_topics(tmp_path / "outputs_only")

@@ -5,7 +5,6 @@ import pytest
 from humaneva_files import write_c3d
 
 from capture_rig.errors import InputError
-from capture_rig.rig import load_rig
 from capture_rig.session import WRIST_FRACTION, load_session
 from sagoma_tools.cli import main
 from sagoma_tools.importers.biocv import import_trial
@@ -59,10 +58,11 @@ def trial(toured, tmp_path):
     return folder
 
 
-def test_rig_points_and_rate_come_back(toured, trial, tmp_path):
-    said = import_trial(trial, tmp_path / "session")
-    session = load_session(tmp_path / "session")
-    assert (session.fps, list(session.videos)) == (FPS, [*NAMES]) and f"{FRAMES} frames" in said[0]
+def test_rig_points_and_rate_come_back_and_the_command_says_what_comes_next(toured, trial, tmp_path, capsys):
+    assert main(["import", "biocv", str(trial), str(tmp_path / "session")]) == 0
+    said, session = capsys.readouterr().out, load_session(tmp_path / "session")
+    assert (session.fps, list(session.videos)) == (FPS, [*NAMES])
+    assert all(text in said for text in (f"{FRAMES} frames", "LKnee: LKNE, LKNEM", f"in {FRAMES} f", "sagoma evaluate"))
     for mine, true in zip(session.rig.cameras, toured.rig.cameras, strict=True):
         points = toured.truth.points_world[0]
         np.testing.assert_allclose(mine.project(points), true.project(points), atol=0.01)
@@ -71,7 +71,8 @@ def test_rig_points_and_rate_come_back(toured, trial, tmp_path):
         expected[:, hand] = expected[:, elbow] + WRIST_FRACTION * (expected[:, hand] - expected[:, elbow])
     assert np.abs(session.truth.points_world - expected).max() < 1e-3
     assert session.rig.volume.low[2] < 0.0 < session.rig.volume.high[2]
-    assert "LKnee: LKNE, LKNEM" in said and f"in {FRAMES} frames" in said[-1]
+    assert main(["import", "biocv", str(trial.parent), str(tmp_path / "other")]) == 2
+    assert "holds 0 videos" in capsys.readouterr().err
 
 
 def test_a_marker_that_was_not_seen_leaves_its_point_unknown(toured, trial, tmp_path):
@@ -113,7 +114,6 @@ def spoilt(change):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (spoilt(lambda text: text.replace(text.split()[11], "3.0", 1)), r"01\.mp4\.calib.*is not a rotation"),
         (spoilt(lambda text: "1 " + text.split(maxsplit=1)[1]), r"01\.mp4\.calib.*is of images of 1 x"),
         (spoilt(lambda text: " ".join(text.split()[:20])), r"01\.mp4\.calib.*20 finite numbers instead of 32"),
         (lambda calibration: (calibration / "02.mp4.calib").unlink(), r"no calibration of 02\.mp4"),
@@ -124,12 +124,3 @@ def test_a_broken_or_missing_calibration_is_named(trial, tmp_path, damage, messa
     with pytest.raises(InputError, match=message):
         import_trial(trial, tmp_path / "session")
     assert not (tmp_path / "session").exists()
-
-
-def test_the_command_says_what_was_written_and_what_comes_next(trial, tmp_path, capsys):
-    session = tmp_path / "session"
-    assert main(["import", "biocv", str(trial), str(session)]) == 0
-    assert "sagoma evaluate" in capsys.readouterr().out
-    assert load_rig(session / "rig.yaml").names == NAMES
-    assert main(["import", "biocv", str(trial.parent), str(tmp_path / "other")]) == 2
-    assert "holds 0 videos" in capsys.readouterr().err

@@ -52,21 +52,12 @@ def ready(tmp_path_factory):
 def file(tmp_path, camera, ready):
     """Writes a parameter file of cam01 and returns its path."""
 
+    usual = {"source": "aravis", "rig_file": str(ready / "rig.yaml"), "background": str(ready / "bg.npz")}
+    chosen = {"address": camera.address, "exposure_us": 4000.0, "frame_rate": 60.0, "gain": 0.0}
+    usual |= {f"aravis.{key}": value for key, value in chosen.items()} | {"aravis.socket_buffer_bytes": 65536}
+
     def write(name="cam01", **changes):
-        parameters = {
-            "autostart": True,
-            "rig_file": str(ready / "rig.yaml"),
-            "camera_name": name,
-            "source": "aravis",
-            "background": str(ready / "bg.npz"),
-            "aravis.address": camera.address,
-            "aravis.exposure_us": 4000.0,
-            "aravis.frame_rate": 60.0,
-            "aravis.gain": 0.0,
-            "aravis.socket_buffer_bytes": 65536,
-            **changes,
-        }
-        path = tmp_path / f"{name}.yaml"
+        path, parameters = tmp_path / f"{name}.yaml", {**usual, "camera_name": name, **changes}
         path.write_text(yaml.safe_dump({f"/{name}/camera_client": {"ros__parameters": parameters}}))
         return path
 

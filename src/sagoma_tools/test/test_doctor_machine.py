@@ -14,8 +14,10 @@ from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok,
 from sagoma_tools.doctor.machine import Interface, domains_of_ports, examine_machine, interface_to, interfaces
 
 LINK = Interface("enp3s0", "192.168.1.1", mtu=1500, speed_mbit=1000)
-VARIABLES = ("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+VARIABLES = (
+    *("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION"),
+    *("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
+)
 GIB = 1 << 30
 
 
@@ -57,18 +59,18 @@ GOOD = {
 
 @pytest.fixture
 def examined(monkeypatch, tmp_path):
-    """Examines a machine as it should be, with ``changes`` of what it answers and of environment variables."""
+    """Examines a machine as it should be, with changes of what it answers and of environment variables."""
 
-    def examine(changes, **variables):
-        for name in (*VARIABLES, *PROFILES):
+    def examine(changes):
+        for name in VARIABLES:
             monkeypatch.delenv(name, raising=False)
-        for name, value in variables.items():
-            monkeypatch.setenv(name, value)
-        kernel = tmp_path / "kernel.nbi"
-        kernel.touch()
-        monkeypatch.setenv("NUMBA_CACHE_DIR", variables.get("NUMBA_CACHE_DIR", str(tmp_path)))
+        (tmp_path / "kernel.nbi").touch()
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
         for name, value in {**GOOD, **changes}.items():
-            monkeypatch.setattr(f"sagoma_tools.doctor.{name}", value)
+            if name.isupper():
+                monkeypatch.setenv(name, value)
+            else:
+                monkeypatch.setattr(f"sagoma_tools.doctor.{name}", value)
         found = [finding for finding in examine_machine() if finding.severity > Severity.OK]
         assert all(finding.remedy for finding in found if finding.severity >= Severity.WARNING)
         return [(finding.severity.name, finding.code, finding.what + finding.remedy) for finding in found]
@@ -99,16 +101,6 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine.get_rmw_implementation_identifier": lambda: "rmw_x"}, "NOTE", "ros.untested_rmw", "rmw_x"),
         ({"machine.interfaces": lambda: [replace(LINK, speed_mbit=100)]}, "WARNING", "network.slow", "100 Mbit/s"),
         ({"machine.get_rmw_implementation_identifier": NO_RMW}, "ERROR", "ros.no_middleware", "no lib"),
-    ],
-)
-def test_machine_that_is_not_ready_is_found_with_a_remedy(examined, changes, severity, code, value):
-    (found,) = examined(changes)
-    assert found[:2] == (severity, code) and value in found[2]
-
-
-@pytest.mark.parametrize(
-    "variables, severity, code, value",
-    [
         ({"ROS_DOMAIN_ID": "300"}, "ERROR", "ros.domain_invalid", "300"),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "WARNING", "ros.discovery_local", "LOCALHOST"),
         ({"ROS_LOCALHOST_ONLY": "1"}, "WARNING", "ros.discovery_local", "ROS_LOCALHOST_ONLY"),
@@ -116,8 +108,8 @@ def test_machine_that_is_not_ready_is_found_with_a_remedy(examined, changes, sev
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/x.xml"}, "ERROR", "dds_profile.missing", "/x.xml"),
     ],
 )
-def test_environment_that_misleads_nodes_is_found(examined, variables, severity, code, value):
-    (found,) = examined({}, **variables)
+def test_machine_that_is_not_ready_or_misleads_nodes_is_found_with_a_remedy(examined, changes, severity, code, value):
+    (found,) = examined(changes)
     assert found[:2] == (severity, code) and value in found[2]
 
 
@@ -159,14 +151,10 @@ FINDINGS = [
 ]
 
 
-def shown(findings):
-    sink = io.StringIO()
-    show(findings, CommandConsole(file=sink))
-    return sink.getvalue()
-
-
 def test_findings_are_shown_by_subject_the_gravest_first_cameras_last_and_counted():
-    *lines, last = shown(FINDINGS).splitlines()
+    sink = io.StringIO()
+    show(FINDINGS, CommandConsole(file=sink))
+    *lines, last = sink.getvalue().splitlines()
     assert [line for line in lines if line and line[0] != " "] == ["this machine", "graph", "camera cam01"]
     about_cam01 = lines[lines.index("camera cam01") + 1 :]
     assert [line.split()[0] for line in about_cam01[:4]] == ["ERROR", "->", "note", "ok"]

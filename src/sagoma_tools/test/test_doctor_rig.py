@@ -15,7 +15,7 @@ from sagoma_tools.cli import main
 from sagoma_tools.doctor.rig import RigView, check_place
 from virtual_studio.rig import ring
 
-GOOD = ring(5, False)
+GOOD = ring(3, False)
 
 
 def with_camera(rig, name, **changes):
@@ -64,8 +64,8 @@ def test_pictures_larger_than_the_volume_are_told_and_their_parts_written(examin
     slim = Rig(GOOD.cameras, Volume(low * [0.3, 0.3, 1.0], high * [0.3, 0.3, 1.0]))
     _, found = examined(slim, "--regions", tmp_path / "parts.yaml")
     text = next(what for _, code, what in found["rig"] if code == "regions.smaller")
-    # five pictures of 640 x 480 bytes in packets of 9000, 70 % of a Gigabit: 0.7 * 125e6 / (5 * 309.9e3)
-    assert "carries all cameras at 56 Hz" in text
+    # three pictures of 640 x 480 bytes in packets of 9000, 70 % of a Gigabit: 0.7 * 125e6 / (3 * 309.9e3)
+    assert "carries all cameras at 94 Hz" in text
     parts = load_rig(tmp_path / "parts.yaml")
     for whole, part in zip(GOOD.cameras, parts.cameras, strict=True):
         assert part.width < 0.8 * whole.width and f"width {part.width}, height {part.height}" in text
@@ -115,7 +115,7 @@ def test_shares_of_the_volume_agree_with_counting_by_hand():
     for camera, sees in zip(GOOD.cameras, view.sees, strict=True):
         inside = [0 <= u < camera.width and 0 <= v < camera.height for u, v in camera.project([foot, head])]
         assert all(inside) and sees.mean() > 0.9
-    assert (view.sees.sum(axis=0) >= 3).all() and not (view.sees.sum(axis=0) >= 5).all()
+    assert (view.sees.sum(axis=0) >= 2).all() and not view.sees.all()
     # 3.25 m from (0, 0, 0.95), where a pixel of 468 px focal length is 6.9 mm
     *_, seen = check_place(view, C1)
     assert "3.2 m from the volume's centre, 6.9 mm a pixel" in seen.what
@@ -130,12 +130,3 @@ def test_report_is_read_with_verdict_findings_and_age(examined, tmp_path):
     assert status == 2 and "no tilt (tilt the board)" in text["calibration.redo"] and "400 days" in text["age.old"]
     path.write_text("[1, 2")
     assert "rig_report.unusable" in [code for _, code, _ in examined(GOOD)[1]["rig"]]
-
-
-def test_absurd_rig_is_refused_with_a_remedy(tmp_path, capsys):
-    save_rig(GOOD, tmp_path / "rig.yaml")
-    text = (tmp_path / "rig.yaml").read_text()
-    (tmp_path / "rig.yaml").write_text(text.replace("image_width: 640", "image_width: 1000000000", 1))
-    assert main(["doctor", "--no-machine", "--json", "--rig", str(tmp_path / "rig.yaml")]) == 2
-    (invalid,) = json.loads(capsys.readouterr().out)["findings"]
-    assert invalid["code"] == "rig.unusable" and "image_width" in invalid["what"] and invalid["remedy"]

@@ -22,8 +22,7 @@ from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.tracker import fits_nothing
 from mocap_packets.fit import DOUBTFUL, PART_NAMES, Fit
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
-from mocap_pipeline.session_footage import exact_silhouettes
+from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
@@ -65,7 +64,9 @@ def test_the_ablation_ends_with_our_figures_and_begins_with_the_thesis(tour, cap
     assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "overlay.png", "worst.png"}
 
 
-def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour, capsys, tmp_path, monkeypatch):
+def test_without_truth_a_session_is_judged_by_what_can_be_said_and_without_a_background_not(
+    tour, capsys, tmp_path, monkeypatch
+):
     moved = ExtrinsicErrors({"cam02": 0.012}, dict.fromkeys(("cam02", "cam03"), "cam02 or cam03 was moved"))
     monkeypatch.setattr(PeopleTracker, "extrinsic_errors", moved)
     blind = shutil.copytree(tour, tmp_path / "blind")
@@ -79,6 +80,10 @@ def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour,
     assert not {"mean_mm", "thesis_mean_mm", "inside_95"} & set(figures)
     assert main(["evaluate", str(blind), "--ablation"]) == 2
     assert "Leave out --ablation" in capsys.readouterr().err
+    next(blind.glob("cam03_background.*")).unlink()
+    assert main(["evaluate", str(blind)]) == 2
+    said = capsys.readouterr().err
+    assert "there is no background for cam03" in said and "Add cam03_background" in said
 
 
 def test_a_bag_is_judged_on_the_session_that_it_names_and_one_of_unknown_origin_asks_for_it(tour, tmp_path):
@@ -133,21 +138,14 @@ WATCHED = "somebody is here: watched for {:.1f} of 1.0 s"
 BELOW = "cam02 does not see your feet: step 0.4 m away from cam02"
 
 
-def test_reasons_that_differ_in_numbers_are_one_with_the_numbers_of_a_typical_set():
+def test_the_most_frequent_reasons_are_said_and_those_that_differ_in_numbers_or_the_way_to_step_are_one():
     sets = [(WATCHED.format(0.1 * k),) for k in range(5)] + [("no hull",)] * 2
     assert rank_reasons(sets) == [(WATCHED.format(0.2), 5), ("no hull", 2)]
-
-
-def test_the_number_in_a_cameras_name_is_none_but_the_way_to_step_may_differ():
-    sets = [
-        (BELOW,),
-        (BELOW.replace("cam02 does", "cam03 does"),),
-        (BELOW.replace("0.4 m away from", "0.7 m towards"),),
-    ]
-    assert [count for _, count in rank_reasons(sets)] == [2, 1]
-
-
-def test_the_most_frequent_reasons_are_said():
+    other_way, other_camera = (
+        BELOW.replace("0.4 m away from", "0.7 m towards"),
+        BELOW.replace("cam02 does", "cam03 does"),
+    )
+    assert [count for _, count in rank_reasons([(BELOW,), (other_camera,), (other_way,)])] == [2, 1]
     sets = [(WATCHED.format(0.5),)] * 9 + [("nobody upright",)] * 2 + [("anything",), ("no hull",)]
     said = f'of 13 frame sets the tracker said "{WATCHED.format(0.5)}" in 9, "nobody upright" in 2, "anything" in 1'
     assert explain(sets) == said
@@ -162,17 +160,12 @@ def write_bag(folder: Path, fits: list[Fit]) -> Path:
     return folder
 
 
-def test_a_bag_tells_the_same_reasons(tmp_path):
+def test_a_bag_tells_the_same_reasons_and_that_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
     bag = write_bag(tmp_path / "bag", [fits_nothing(k, WATCHED.format(0.1 * k)) for k in range(1, 4)])
     assert reasons_of_bag(bag, lambda stamp_ns: stamp_ns > 1) == [(WATCHED.format(0.2),), (WATCHED.format(0.3),)]
     with pytest.raises(InputError, match=r'of 3 frame sets the tracker said "somebody .* watched for 0\.2 of .* in 3'):
         tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
-
-
-def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
-    fit = fits_nothing(1, "")
-    tracked = Fit(1, "tracking", "own", "", 0, fit.reference_points_world, fit.covariance, fit.visible, None, None)
-    bag = write_bag(tmp_path / "bag", [tracked])
+    bag = write_bag(tmp_path / "tracked", [replace(fits_nothing(1, ""), state="tracking", reason="")])
     assert reasons_of_bag(bag) == [()]
     with pytest.raises(InputError, match="Record /mocap/reference_points"):
         tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
@@ -202,7 +195,7 @@ def differing(a, b, prefix="") -> set[str]:
     return set().union(*found)
 
 
-def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
+def test_the_last_row_is_the_settings_own_the_first_the_thesis_method_and_each_adds_exactly_one_part():
     settings = {"icp_tracker.refinement.keyframes": 20}
     rows = ablation_rows(settings)
     assert tuple(rows) == ROWS
@@ -210,10 +203,7 @@ def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
     first = rows[THESIS]
     assert (first.icp.method, first.ekf.motion_model, first.feedback) == ("hierarchical", "identity", False)
     assert first.icp.refinement.keyframes == 20
-
-
-def test_every_row_adds_exactly_one_part():
-    for (before, after), without in zip(pairwise(ablation_rows({}).values()), PARTS.values(), strict=True):
+    for (before, after), without in zip(pairwise(rows.values()), PARTS.values(), strict=True):
         switched = {key.replace("icp_tracker.", "icp.").replace("ekf_tracker.filter.", "ekf.") for key in without}
         assert differing(before, after) == switched
 
@@ -228,16 +218,3 @@ def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one
     assert len(carved) == len(set(carved)) == 12
     assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
     assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
-
-
-def test_without_feedback_every_fit_starts_from_the_fit_before(toured):
-    graph = MocapPipeline(toured.rig, started(toured))
-    closed, opened = graph.body, TrackingStage.of(started(toured, feedback=False))
-    starts: dict[str, list[str]] = {"closed": [], "opened": []}
-    for frame, masks in enumerate(exact_silhouettes(toured)):
-        clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)
-        starts["closed"].append(closed.step(clouds).fit.started_from)
-        starts["opened"].append(opened.step(clouds).fit.started_from)
-    assert starts["opened"][1:] == ["own"] * 11
-    assert starts["closed"][1] == "1000000000"
-    assert "own" not in starts["closed"]

@@ -27,7 +27,6 @@ def test_each_track_belongs_to_the_truth_that_it_is_nearest_to_in_its_first_seco
 
 
 def parts_of(*pieces):
-    """A track of points of other persons one after the other."""
     return track_of(np.concatenate(pieces))
 
 

@@ -40,17 +40,14 @@ def test_the_caption_says_frame_time_state_and_error(evaluated):
     assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(evaluated, 4)[0]
 
 
-def test_the_overlay_video_has_every_frame(evaluated, tmp_path):
-    with Video(write_overlay(tmp_path / "deep" / "overlay.mp4", evaluated)) as video:
-        assert (video.frame_count, video.fps) == (FRAMES, 20.0)
-        assert video.read() is not None
-
-
-def test_stills_show_frames_all_over_and_the_worst_one_and_work_without_a_truth(evaluated, tmp_path):
+def test_the_video_has_every_frame_stills_some_and_the_worst_one_and_both_need_no_truth(evaluated, tmp_path):
     assert [path.name for path in draw_stills(tmp_path, evaluated)] == ["overlay.png", "worst.png"]
     blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
     assert caption(blind, 4) == ("tour   frame 4   0.20 s   doubtful", False)
     assert [path.name for path in draw_stills(tmp_path / "blind", blind)] == ["overlay.png"]
+    with Video(write_overlay(tmp_path / "deep" / "overlay.mp4", blind)) as video:
+        assert (video.frame_count, video.fps) == (FRAMES, 20.0)
+        assert video.read() is not None
     ((height, width, _),) = {sheet.shape for sheet in sheets(blind, range(FRAMES))}
     assert height % 2 == width % 2 == 0
 

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, MultiDOFJointState
 from std_msgs.msg import String
@@ -28,7 +27,6 @@ SILHOUETTE = "sensor_msgs/msg/CompressedImage"
 EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 20_000_000
 PATIENCE_S = 30.0
-BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def silhouette_topic(camera):

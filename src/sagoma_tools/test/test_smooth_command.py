@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from poses import pose_with
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
@@ -15,7 +16,6 @@ from sagoma_tools.recording.smoothing import SMOOTHED
 from sagoma_tools.recording.writer import BagWriter
 from stick_figure.body import Body, format_body
 from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
 
 FPS, SETS, GAP, NOISE_M = 60, 60, range(30, 36), 0.01
 FIRST_NS = 1_700_000_000_000_000_000
@@ -26,9 +26,8 @@ def stamp_ns(k):
 
 
 def points_of(body, k):
-    angles = T_POSE_ANGLES.copy()
-    angles[[8, 9]] = -0.6 - 0.5 * np.sin(2 * np.pi * k / FPS)
-    return forward(body, Pose.from_angles(np.array([0.01 * k, 0.0, 1.0]), np.eye(3), angles))
+    bent = -0.6 - 0.5 * np.sin(2 * np.pi * k / FPS)
+    return forward(body, pose_with(at=(0.01 * k, 0.0, 1.0), left_elbow=bent, right_elbow=bent))
 
 
 OTHER, ASIDE_M = 2, np.array([0.0, 1.5, 0.0])

@@ -12,12 +12,11 @@ from pathlib import Path
 import psutil
 import pytest
 from rich.console import Console
-from tools_waiting import until
+from tools_waiting import settled_at, until
 
 from sagoma_bringup.graph import NodeSpec, Role, processes_of
 from sagoma_tools.cli import main
 from sagoma_tools.graph.processes import ALREADY_DEAD, FAILED, KILLED, Child, busy_machine, stop_children
-from sagoma_tools.graph.ros_link import settled
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, restarted, with_kept_backgrounds
 
 REFUSES = "refuses_to_configure"
@@ -110,8 +109,7 @@ def test_graph_goes_on_when_a_camera_refuses_and_another_dies_with_its_last_word
 
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts(supervise, monkeypatch, tmp_path, capsys):
     run = supervise(tiny("hull_server"), camera("cam01"))
-    looked = "sagoma_tools.graph.lifecycle_client.settled"  # until there is one, however busy the machine
-    monkeypatch.setattr(looked, lambda look, expect, wait_s: settled(lambda: look() & {"/hull_server"}, 1, 60.0))
+    monkeypatch.setattr("sagoma_tools.graph.lifecycle_client.settled", settled_at(1))
     assert main(["up", "--rig", str(RING4), "--run-folder", str(tmp_path / "second")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("sagoma: /hull_server run already in this ROS domain. End that graph, or give")
@@ -129,10 +127,6 @@ def rendered(table):
 # --- processes that end
 
 
-def start(tmp_path, name, script, on_exit=lambda child: None):
-    return Child(name, [sys.executable, "-c", script], tmp_path / f"{name}.log", os.environ, on_exit)
-
-
 ENDS = {
     "": ("time.sleep(600)", 30.0, {0, -signal.SIGINT}),
     FAILED: ("try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n    sys.exit(4)", 30.0, {4}),
@@ -145,24 +139,16 @@ def test_children_end_on_sigint_or_are_killed_with_what_they_started(tmp_path, t
     """They end even when they inherit that SIGINT is ignored, as background jobs of a shell script do."""
     script, grace_s, codes = ENDS[trouble]
     grandchild = "subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])"
-    child = start(
-        tmp_path,
-        "child",
-        f"import signal, subprocess, sys, time\nprint({grandchild}.pid, 'ready', flush=True)\n{script}",
-    )
-    started = psutil.Process(int(wait_for_text(child, "ready").split()[0]))
+    script = f"import signal, subprocess, sys, time\nprint({grandchild}.pid, 'ready', flush=True)\n{script}"
+    child = Child("child", [sys.executable, "-c", script], tmp_path / "child.log", os.environ, lambda child: None)
+    until(lambda: "ready" in child.log.read_text())
+    started = psutil.Process(int(child.log.read_text().split()[0]))
     (ended,) = stop_children([child], grace_s=grace_s)
     assert ended.trouble == trouble and ended.returncode in codes and not psutil.pid_exists(child.pid)
     if trouble == KILLED:
         assert started.wait(timeout=30) is not None or not started.is_running()
     else:
         started.kill()
-
-
-def wait_for_text(child, text):
-    """The child's log, once it holds ``text``."""
-    until(lambda: text in child.log.read_text())
-    return child.log.read_text()
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])

@@ -29,12 +29,9 @@ def takes(tmp_path, take_at):
     return TakesFolder(tmp_path / "takes")
 
 
-def grades(take):
-    return {check.grade for check in verify(take)}
-
-
-def test_figures_are_those_of_the_messages(takes):
-    summary = measure(takes.path / "walk")
+def test_figures_are_those_of_the_messages_and_read_back_as_they_were_written(takes):
+    summary = read_summary(takes.path / "walk")
+    assert summary == measure(takes.path / "walk")
     quality, person = summary.quality, summary.persons["b0001"]
     assert (quality.begins_ns, quality.ends_ns) == (EPOCH_NS, EPOCH_NS + 49 * PERIOD_NS)
     assert (quality.sets, quality.rate_hz, quality.incomplete, quality.unanswered) == (50, 50.0, 4, 4)
@@ -48,12 +45,7 @@ def test_figures_are_those_of_the_messages(takes):
     assert [background.learned[14:16] for background in first.backgrounds] == ["00", "05"]
     assert first.backgrounds[0] == Background("good; 100 frames", "2026-11-22T18:00:00+00:00", "S1")
     assert "lengths" in summary.body
-
-
-def test_a_summary_is_read_back_as_it_was_written(takes):
-    stored = read_summary(takes.path / "walk")
-    assert stored == measure(takes.path / "walk")
-    for broken in ({}, {"format": 1}, {**stored.document(), "cameras": 3}, {**stored.document(), "quality": {}}):
+    for broken in ({}, {"format": 1}, {**summary.document(), "cameras": 3}, {**summary.document(), "quality": {}}):
         with pytest.raises(InputError, match=r"take\.yaml"):
             Summary.parse(broken, "take.yaml")
 
@@ -97,9 +89,9 @@ def test_a_part_that_is_none_or_overwrites_another_is_refused_and_leaves_nothing
 
 
 def test_a_take_is_verified_and_a_changed_byte_is_found_and_not_measured_anew(takes, capsys):
-    assert grades(takes.find("walk")) == {OK, WARNING}  # there is no rig
     take_bags.write_take(takes.path / "old", 3)  # of before: as far as it can be
-    assert grades(takes.find("old")) == {OK, WARNING}
+    for name in ("walk", "old"):
+        assert {check.grade for check in verify(takes.find(name))} == {OK, WARNING}  # there is no rig
     file = takes.path / "walk" / "walk.mcap"
     content = bytearray(file.read_bytes())
     content[content.index(b"good; 100 frames")] ^= 1
@@ -108,7 +100,7 @@ def test_a_take_is_verified_and_a_changed_byte_is_found_and_not_measured_anew(ta
     assert main(["takes", "measure", "walk", "--takes", str(takes.path)]) == 2
     assert "not those that were recorded" in capsys.readouterr().err
     file.write_bytes(content[: len(content) // 2])
-    assert ERROR in grades(takes.find("walk"))
+    assert ERROR in {check.grade for check in verify(takes.find("walk"))}
 
 
 # --- files of other programs, and videos
@@ -131,25 +123,16 @@ def test_every_format_is_written_beside_the_take_and_none_is_overwritten(tmp_pat
     assert (take / "export" / "first.trc").read_text() != "mine"
 
 
-def test_numbers_of_the_bag_arrive(tmp_path):
-    take = write_take(tmp_path / "first", 20, missing=range(7, 9))
+def test_several_persons_get_a_file_each_with_the_numbers_of_the_bag_and_one_of_nobody_is_refused(tmp_path, capsys):
+    take = write_take(tmp_path / "two", 20, prefixes=("/mocap", "/mocap/bodies/b0002"), missing=range(7, 9))
     assert main(["export", str(take), "--format", "csv", "--output", str(tmp_path / "out")]) == 0
-    with (tmp_path / "out" / "first.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["state"] for row in rows].count("") == 2 and rows[7]["state"] == ""
-    assert float(rows[19]["torso_y_m"]) - float(rows[0]["torso_y_m"]) == pytest.approx(0.19, abs=1e-6)
-
-
-def test_several_persons_get_a_file_each(tmp_path):
-    take = write_take(tmp_path / "two", 5, prefixes=("/mocap", "/mocap/bodies/b0002"))
-    motions = recorded_motions(take)
-    assert sorted(motions) == ["b0001", "b0002"]
-    assert motions["b0002"].points_world[0, 0, 0] - motions["b0001"].points_world[0, 0, 0] == pytest.approx(1.0)
-    assert main(["export", str(take), "--format", "bvh", "--output", str(tmp_path)]) == 0
-    assert (tmp_path / "two_b0001.bvh").exists() and (tmp_path / "two_b0002.bvh").exists()
-
-
-def test_a_bag_without_a_person_is_refused(tmp_path, capsys):
+    places_m = []
+    for person in ("b0001", "b0002"):
+        text = (tmp_path / "out" / f"two_{person}.csv").read_text(encoding="utf-8")
+        rows = list(csv.DictReader(text.splitlines()))
+        assert [k for k, row in enumerate(rows) if row["state"] == ""] == [7, 8]
+        places_m += [[float(rows[k][f"torso_{axis}_m"]) for axis in "xy"] for k in (0, 19)]
+    np.testing.assert_allclose(np.subtract(places_m, places_m[0]), [[0, 0], [0, 0.19], [1, 0], [1, 0.19]], atol=1e-6)
     with BagWriter(tmp_path / "empty") as bag:
         bag.add_topic("/mocap/reference_points", TYPES["reference_points"])
     assert main(["export", str(tmp_path / "empty")]) == 2
@@ -172,14 +155,10 @@ def take(tmp_path_factory):
     return TakesFolder(folder).find("walk")
 
 
-def pictures(path):
-    with Video(path) as video:
-        return list(video)
-
-
 def test_a_person_is_drawn_over_the_silhouettes_of_every_camera(take, tmp_path):
     assert write_video(take, tmp_path / "walk.avi") == FRAMES
-    shown = pictures(tmp_path / "walk.avi")
+    with Video(tmp_path / "walk.avi") as video:
+        shown = list(video)
     assert len(shown) == FRAMES and not (tmp_path / ".walk.part.avi").exists()
     left, right = np.array_split(shown[3].astype(int), 2, axis=1)
     for half in (left, right):

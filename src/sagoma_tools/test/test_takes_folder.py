@@ -12,7 +12,6 @@ from sagoma_tools.cli import main
 from sagoma_tools.graph import PATIENCE_S
 from sagoma_tools.takes.folder import TakesFolder
 from sagoma_tools.takes.measure import SIDECAR_TAKE
-from sagoma_tools.takes.take import TakeState
 
 
 @pytest.fixture()
@@ -31,22 +30,24 @@ def cut(takes, name="cut", seconds_ago=2 * PATIENCE_S):
     return path
 
 
+STATES = {"walk": "whole", "old": "whole", "cut": "unfinished"}
+STATES |= dict.fromkeys(("broken", "yaml", "binary", "empty", "figures"), "damaged")
+
+
 def test_takes_are_listed_with_what_is_known_and_a_broken_one_says_why(takes):
-    take_bags.write_take(takes.path / "old", 10)
+    take_bags.write_take(takes.path / "old", 3)
     cut(takes)
-    broken = take_bags.write_take(takes.path / "broken", 10)
-    (broken / "broken.mcap").write_bytes((broken / "broken.mcap").read_bytes()[:3000])
-    for name, damage in (("yaml", b"{"), ("binary", b"\xff\xfe\x00"), ("empty", b"")):
-        (take_bags.write_take(takes.path / name, 3) / "metadata.yaml").write_bytes(damage)
+    for name, content in (("yaml", b"{"), ("binary", b"\xff\xfe\x00"), ("empty", b"")):
+        (take_bags.write_take(takes.path / name, 3) / "metadata.yaml").write_bytes(content)
+    damaged = take_bags.write_take(takes.path / "broken", 3) / "broken.mcap"
+    damaged.write_bytes(damaged.read_bytes()[:3000])
     (take_bags.write_take(takes.path / "figures", 3) / SIDECAR_TAKE).write_text("format: 99")
     (takes.path / "no take").mkdir()
     found = {take.name: take for take in takes.takes()}
-    assert found["walk"].state is TakeState.WHOLE and found["walk"].summary.persons["b0001"].rows == 20
-    assert found["old"].state is TakeState.WHOLE and found["old"].summary is None and found["old"].topics
-    assert found["cut"].state is TakeState.UNFINISHED and "recover" in found["cut"].problem
-    for name in ("broken", "yaml", "binary", "empty", "figures"):
-        assert found[name].state is TakeState.DAMAGED and found[name].problem, name
-    assert "no take" not in found
+    assert {name: take.state for name, take in found.items()} == STATES
+    assert found["walk"].summary.persons["b0001"].rows == 20 and found["old"].summary is None and found["old"].topics
+    assert {name for name, take in found.items() if not take.problem} == {"walk", "old"}
+    assert "recover" in found["cut"].problem
 
 
 def test_a_new_take_overwrites_nothing_and_stays_in_its_folder(takes):
@@ -59,12 +60,16 @@ def test_a_new_take_overwrites_nothing_and_stays_in_its_folder(takes):
             takes.new_path(name)
 
 
-def test_nothing_outside_of_the_folder_can_be_named(takes, tmp_path):
+def test_nothing_outside_of_the_folder_can_be_named_or_emptied_by_a_link_in_the_bin(takes, tmp_path):
     outside = take_bags.write_take(tmp_path / "outside", 1)
     for name in ("../outside", str(outside), "..", ".", "", "walk/../../outside", "walk\0"):
         for act in (takes.find, takes.delete, lambda name: takes.rename(name, "mine"), takes.restore):
             with pytest.raises(InputError):
                 act(name)
+    (takes.path / "link").symlink_to(outside)
+    takes.delete("link")
+    takes.delete("walk")
+    assert len(takes.empty_bin()) == 2 and takes.deleted() == []
     assert (outside / "metadata.yaml").exists()
 
 
@@ -86,15 +91,6 @@ def test_a_deleted_take_comes_back_from_the_bin_whole(takes):
         takes.restore("walk")
 
 
-def test_the_bin_is_emptied_for_good_and_a_link_in_it_leads_nowhere(takes, tmp_path):
-    outside = take_bags.write_take(tmp_path / "outside", 1)
-    (takes.path / "link").symlink_to(outside)
-    takes.delete("link")
-    takes.delete("walk")
-    assert len(takes.empty_bin()) == 2 and takes.deleted() == []
-    assert (outside / "metadata.yaml").exists()
-
-
 def test_a_take_that_is_being_recorded_is_left_alone(takes):
     cut(takes, "running", seconds_ago=0)
     for act in (takes.delete, lambda name: takes.rename(name, "mine")):
@@ -108,36 +104,28 @@ def test_a_take_that_is_being_recorded_is_left_alone(takes):
 # --- sagoma takes
 
 
-@pytest.fixture()
-def folder(takes):
+def test_takes_are_listed_shown_verified_measured_renamed_trimmed_deleted_and_brought_back(takes, capsys):
     """Beside the measured take there are one that was not measured and one whose recorder was killed."""
-    take_bags.write_take(takes.path / "old", 10)
+    folder = takes.path
+    take_bags.write_take(folder / "old", 10)
     cut(takes)
-    return takes.path
 
+    def does(status, *arguments):
+        assert main(["takes", *arguments, "--takes", str(folder)]) == status
+        return capsys.readouterr().out
 
-def sagoma_takes(folder, *arguments):
-    return main(["takes", *arguments, "--takes", str(folder)])
-
-
-def test_takes_are_listed_for_people_and_for_programs(folder, capsys):
-    assert sagoma_takes(folder, "list") == 0
-    said = capsys.readouterr().out
+    said = does(0, "list")
     rows = {line.split()[0]: line for line in said.splitlines()[1:4]}
     assert "100 %" in rows["walk"] and "25 %" in rows["walk"] and "not measured" in rows["old"]
     assert "recover" in said
-    assert sagoma_takes(folder, "list", "--json") == 0
-    listed = {take["name"]: take for take in json.loads(capsys.readouterr().out)}
+    listed = {take["name"]: take for take in json.loads(does(0, "list", "--json"))}
     assert listed["walk"]["summary"]["persons"]["b0001"]["doubtful"] == 0.25
-    assert (listed["old"]["state"], listed["old"]["summary"]) == ("whole", None)
-    assert listed["cut"]["state"] == "unfinished"
-
-
-def test_a_take_is_shown_measured_renamed_trimmed_deleted_and_brought_back(folder, capsys):
-    def does(status, *arguments):
-        assert sagoma_takes(folder, *arguments) == status
-        return capsys.readouterr().out
-
+    assert {name: take["state"] for name, take in listed.items()} == {n: STATES[n] for n in ("walk", "old", "cut")}
+    lines = does(0, "verify", "walk").splitlines()
+    assert len(lines) > 2 and {line[:8] for line in lines} == {"ok      ", "warning "}
+    checks = json.loads(does(0, "verify", str(folder / "walk"), "--json"))
+    assert {check["grade"] for check in checks} == {"ok", "warning"}
+    assert does(1, "verify", "cut").startswith("error   ")
     said = does(0, "show", "walk")
     assert "20 frame sets" in said and "background: good" in said and "S1" in said
     does(1, "show", "cut")
@@ -155,13 +143,3 @@ def test_a_take_is_shown_measured_renamed_trimmed_deleted_and_brought_back(folde
     does(2, "empty")  # nobody to ask
     does(0, "empty", "--yes")
     does(2, "restore", "walk")
-
-
-def test_a_take_is_verified_by_its_name_or_path_into_columns_or_json(folder, capsys):
-    assert sagoma_takes(folder, "verify", "walk") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) > 2 and {line[:8] for line in lines} == {"ok      ", "warning "}
-    assert main(["takes", "verify", str(folder / "walk"), "--json"]) == 0
-    assert {check["grade"] for check in json.loads(capsys.readouterr().out)} == {"ok", "warning"}
-    assert main(["takes", "verify", str(folder / "cut")]) == 1
-    assert capsys.readouterr().out.startswith("error   ")

@@ -123,13 +123,6 @@ def test_messages_of_wrong_types_are_left_out_and_every_control_goes_on(server, 
     assert all("\n" not in record.message and record.exc_info is None for record in records)
 
 
-@pytest.mark.parametrize("host", ["", "203.0.113.7", "a" * 100])
-def test_a_host_that_is_not_this_machine_ends_the_command_at_once(host, capsys):
-    assert main(["view", "--host", host]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"sagoma: --host: cannot listen on '{host}'") and "ip address" in said
-
-
 def test_a_taken_port_is_refused_when_it_was_asked_for_and_else_passed_over(capsys):
     with listening_socket("127.0.0.1", None) as first, listening_socket("127.0.0.1", None) as second:
         taken = first.getsockname()[1]
@@ -168,13 +161,14 @@ def test_this_machine_needs_no_token_and_others_always_have_one():
         ({"Host": "evil.example:8080"}, 403),
         ({"Host": ""}, 403),
         ({**SOCKET, "Origin": "http://127.0.0.1:8080"}, 200),
-        ({**SOCKET, "Origin": "http://127.0.0.1:9999"}, 403),
-        ({**SOCKET, "Origin": "https://evil.example"}, 403),
-        ({**SOCKET, "Origin": "null"}, 403),
+        *(({**SOCKET, "Origin": origin}, 403) for origin in ("http://127.0.0.1:9999", "https://evil.example", "null")),
     ],
 )
 def test_a_page_of_this_machine_answers_to_its_own_names_and_its_connection_comes_from_itself(headers, status):
     assert asked(OURS, **headers) == status
+
+
+FROM_BOX = {"Upgrade": "websocket", "Origin": "http://box:8080"}
 
 
 @pytest.mark.parametrize(
@@ -185,9 +179,9 @@ def test_a_page_of_this_machine_answers_to_its_own_names_and_its_connection_come
         ("/?token=secret", {}, 303),
         ("/", OPENED, 200),
         ("/", {"Cookie": f"{COOKIE}=other"}, 403),
-        ("/", {"Upgrade": "websocket", "Origin": "http://box:8080"}, 403),
-        ("/", {"Upgrade": "websocket", "Origin": "http://box:8080", **OPENED}, 200),
-        ("/", {"Upgrade": "websocket", "Origin": "http://evil.example", **OPENED}, 403),
+        ("/", FROM_BOX, 403),
+        ("/", {**FROM_BOX, **OPENED}, 200),
+        ("/", {**FROM_BOX, **OPENED, "Origin": "http://evil.example"}, 403),
     ],
 )
 def test_a_token_becomes_a_cookie_and_the_cookie_opens_the_page(path, headers, status):

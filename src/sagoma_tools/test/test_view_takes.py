@@ -77,17 +77,10 @@ def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes)
     assert playback.position_s == pytest.approx(0.7, abs=0.1)
 
 
-def test_a_pose_is_held_over_sets_that_were_left_out(tmp_path):
-    path = take_bags.write_take(tmp_path / "gaps", FRAMES, missing=range(10, 13))
-    playback = Playback.of(describe(path))
-    playback.playing = False
-    playback.jump(0.24)  # frame 12
-    assert set(playback.figures_at(time.monotonic())) == {"b0001"}
-    assert last_frame(playback.motions["b0001"], EPOCH_NS + 12 * PERIOD_NS) == 9
-
-
-def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(tmp_path, take_at):
-    playback = Playback.of(describe(take_at(tmp_path / "late", FRAMES, missing=range(20))))
+def test_a_take_begins_at_its_first_pose_holds_it_over_gaps_and_waits_while_nobody_looks(tmp_path, take_at):
+    missing = [*range(20), *range(30, 33)]
+    playback = Playback.of(describe(take_at(tmp_path / "late", FRAMES, missing=missing)))
+    assert last_frame(playback.motions["b0001"], EPOCH_NS + 32 * PERIOD_NS) == 9
     assert playback.seconds == pytest.approx((FRAMES - 1) * PERIOD_NS / 1e9)  # from the first set, with nobody there
     assert playback.position_s == playback.first_pose_s == pytest.approx(20 * PERIOD_NS / 1e9)
     motion = playback.motions["b0001"]
@@ -98,6 +91,9 @@ def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(t
     for later_s in (1000.4, 1000.8, 1001.2):  # over the end: from the first pose again
         playback.figures_at(now_s + later_s)
     assert playback.position_s == playback.first_pose_s
+    playback.playing = False
+    playback.jump(0.64)  # frame 32
+    assert set(playback.figures_at(now_s)) == {"b0001"}
 
 
 def test_the_page_of_a_take_opens_on_its_first_pose_with_the_take_chosen_and_named(takes):

@@ -3,6 +3,8 @@
 import threading
 import time
 
+from sagoma_tools.graph.ros_link import settled
+
 PATIENCE_S = 60.0
 
 
@@ -12,3 +14,8 @@ def until(come):
     while not come():
         assert time.monotonic() < end_s, "it never came"
         pause.wait(0.02)
+
+
+def settled_at(count):
+    """A stand-in for `settled`: discovery ends once there are so many, however busy the machine."""
+    return lambda look, expect, wait_s: settled(look, count, PATIENCE_S)

@@ -58,7 +58,6 @@ def studio_clip(name: str, seconds: float) -> Clip:
 
 
 def _random_motion(seed: int) -> list[Pose]:
-    """Poses of a smooth random motion."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(FPS * RANDOM_SECONDS)) / FPS
     frequency, phase = rng.uniform(0.1, 0.9, (24, 3, 1)), rng.uniform(0, 2 * np.pi, (24, 3, 1))
