@@ -1,4 +1,4 @@
-"""Silhouettes, images, camera_info, stamps and the rule of thinning as messages, and what delivery rests on."""
+"""Silhouettes, images, camera_info, stamps and the rule of thinning as messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
@@ -19,7 +18,6 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 from mocap_packets.silhouette import LEVELS as SUPPORT_LEVELS
 from mocap_packets.silhouette import ForegroundSupport
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
-from sagoma_ros import qos
 from sagoma_ros.images import (
     camera_info_message,
     decode_silhouette,
@@ -134,7 +132,7 @@ def test_report_that_does_not_fit_is_refused(level: int, width: int) -> None:
         read_support(image_message(cells, STAMP, "cam01_optical"), "cam01", width, TOPIC)
 
 
-# --- stamps, thinning and quality of service --------------------------------------------------------------------------
+# --- thinning ---------------------------------------------------------------------------------------------------------
 
 RULE = FrameDecimation(
     1_790_000_000_123_456_789, 1_790_000_000_200_000_000, 1_789_999_999_000_000_001, 16_666_666.667, 9, 20
@@ -164,8 +162,3 @@ def test_message_without_a_usable_rule_of_thinning_is_refused(key: str | None, v
             pair.value = value if pair.key == key else pair.value
     with pytest.raises(InputError, match="test"):
         read_thinning(message, "test")
-
-
-@pytest.mark.parametrize("subscriber", [qos.SILHOUETTE_SUBSCRIBER, qos.SILHOUETTE_RELIABLE_SUBSCRIBER])
-def test_silhouettes_reach_the_live_server_and_the_recorder(subscriber: QoSProfile) -> None:
-    assert qos_check_compatible(qos.SILHOUETTE_PUBLISHER, subscriber)[0] != QoSCompatibility.ERROR
