@@ -190,18 +190,6 @@ def test_arms_pointing_forward_in_gimbal_lock_are_tracked_like_any_other(body):
 # --- stamps and other input -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_ns", [0, 1_000_000_000])
-def test_stamp_that_does_not_advance_is_refused_and_leaves_the_state_alone(body, person, late_ns):
-    ekf = ArticulatedEkf(body, made.IDEAL)
-    made.run(ekf, person, 20)
-    with pytest.raises(InputError, match="not later than the last one"):
-        ekf.step(made.stamp(19) - late_ns, person.points(0.3), made.isotropic(0.02), made.ALL)
-    (after,), _ = made.run(ekf, person, 1, start=20)
-    undisturbed, _ = made.run(ArticulatedEkf(body, made.IDEAL), person, 20)
-    assert after.stamp_ns == made.stamp(20)
-    assert np.linalg.norm(after.points_world - undisturbed[-1].points_world, axis=1).max() < 0.1
-
-
 def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
     ekf = ArticulatedEkf(body, made.IDEAL)
     before, truth = made.run(ekf, person, 60)

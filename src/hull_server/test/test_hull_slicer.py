@@ -57,11 +57,6 @@ def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, shar
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
 
 
-def test_blobs_of_an_empty_volume_are_none():
-    blobs, runs = slice_hull(volume_of(np.zeros((9, 9, 9), bool)))
-    assert len(blobs.axis) == len(runs.starts) == 0
-
-
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     shape=st.tuples(st.integers(1, 90), st.integers(1, 20), st.integers(1, 20)),

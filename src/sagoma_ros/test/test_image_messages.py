@@ -14,7 +14,7 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.silhouette import LEVELS as SUPPORT_LEVELS
 from mocap_packets.silhouette import ForegroundSupport
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
@@ -46,18 +46,6 @@ def encoded(image: np.ndarray) -> CompressedImage:
 
 def png(data: bytes) -> CompressedImage:
     return CompressedImage(format="png", data=array.array("B", data))
-
-
-@pytest.mark.parametrize("level", [BACKGROUND, SHADOW_CANDIDATE, FOREGROUND])
-def test_silhouette_comes_back_with_shadow_candidates_as_the_reader_wants_them(level: int) -> None:
-    mask = body_mask()
-    mask[90:, 60:140] = SHADOW_CANDIDATE
-    message = silhouette_message(mask, STAMP, "cam01_optical")
-    assert (to_ns(message.header.stamp), message.header.frame_id) == (STAMP, "cam01_optical")
-    read = decode_silhouette(message, WIDTH, HEIGHT, TOPIC, candidates=level)
-    assert np.array_equal(read, np.where(mask == SHADOW_CANDIDATE, level, mask))
-    without = np.where(mask == SHADOW_CANDIDATE, 0, mask)
-    assert np.array_equal(decode_silhouette(message, WIDTH, HEIGHT, TOPIC), without)
 
 
 def test_mask_of_another_program_is_foreground_wherever_it_is_neither_zero_nor_a_candidate() -> None:
