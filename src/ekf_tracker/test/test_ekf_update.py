@@ -185,17 +185,13 @@ def van_loan(damping, density, dt):
     return F, F @ E[:2, 2:]
 
 
-def slot_blocks(F, Q, slot):
-    both = np.ix_([slot, 24 + slot], [slot, 24 + slot])
-    return F[both], Q[both]
-
-
 @pytest.mark.parametrize("dt", [1e-6, 1e-4, 1 / 1000, 1 / 60, 1 / 40, 0.5, 2.0])
 @pytest.mark.parametrize(("slot", "acceleration"), [(1, 8.0), (4, 30.0), (8, 60.0), (14, 80.0)])
 @pytest.mark.parametrize(("kept", "period"), [(0.9, 1 / 40), (0.8, 0.05)])
 def test_damped_velocity_equals_the_integrated_process_for_every_kind_of_joint(dt, slot, acceleration, kept, period):
     model = DampedVelocity(kept=kept, reference_period=period)
-    F, Q = slot_blocks(*dense_matrices(model.transition(dt)), slot)
+    both = np.ix_([slot, 24 + slot], [slot, 24 + slot])
+    F, Q = (matrix[both] for matrix in dense_matrices(model.transition(dt)))
     F_true, Q_true = van_loan(-np.log(kept) / period, acceleration**2 * period, dt)
     np.testing.assert_allclose(F, F_true, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(Q, Q_true, rtol=1e-6)

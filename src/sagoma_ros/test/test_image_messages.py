@@ -14,9 +14,7 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.mask_levels import SHADOW_CANDIDATE
-from mocap_packets.silhouette import LEVELS as SUPPORT_LEVELS
-from mocap_packets.silhouette import ForegroundSupport
+from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_ros.images import (
     camera_info_message,
@@ -25,7 +23,6 @@ from sagoma_ros.images import (
     preview_message,
     read_support,
     silhouette_message,
-    support_message,
 )
 from sagoma_ros.messages import read_thinning, thinning_message, to_ns
 
@@ -46,6 +43,14 @@ def encoded(image: np.ndarray) -> CompressedImage:
 
 def png(data: bytes) -> CompressedImage:
     return CompressedImage(format="png", data=array.array("B", data))
+
+
+@pytest.mark.parametrize("level", [BACKGROUND, SHADOW_CANDIDATE, FOREGROUND])
+def test_silhouette_comes_back_with_shadow_candidates_as_the_reader_wants_them(level: int) -> None:
+    mask = body_mask()
+    mask[90:, 60:140] = SHADOW_CANDIDATE
+    read = decode_silhouette(silhouette_message(mask, STAMP, ""), WIDTH, HEIGHT, TOPIC, candidates=level)
+    assert np.array_equal(read, np.where(mask == SHADOW_CANDIDATE, level, mask))
 
 
 def test_mask_of_another_program_is_foreground_wherever_it_is_neither_zero_nor_a_candidate() -> None:
@@ -102,15 +107,6 @@ def test_camera_info_of_an_undistorted_canvas_has_no_distortion_and_P_equal_to_K
     assert np.array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
     assert np.array_equal(np.reshape(info.p, (3, 4)), np.column_stack([canvas.K, np.zeros(3)]))
     assert (to_ns(info.header.stamp), info.header.frame_id) == (STAMP, "cam01_optical")
-
-
-def test_report_of_support_comes_back_with_the_size_of_its_cells() -> None:
-    cells = np.random.default_rng(0).choice(np.array(SUPPORT_LEVELS, np.uint8), (15, 20))
-    message = support_message(ForegroundSupport(STAMP, "cam01", 8, cells))
-    assert (to_ns(message.header.stamp), message.header.frame_id) == (STAMP, "cam01_optical")
-    back = read_support(message, "cam01", WIDTH, TOPIC)
-    assert (back.stamp_ns, back.camera, back.cell_px) == (STAMP, "cam01", 8)
-    assert np.array_equal(back.cells, cells)
 
 
 @pytest.mark.parametrize(("level", "width"), [(85, 170), (7, 160)], ids=["another canvas", "unknown level"])
