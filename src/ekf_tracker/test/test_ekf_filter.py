@@ -9,9 +9,10 @@ from poses import pose_with
 
 from capture_rig.errors import InputError
 from ekf_tracker import motion_model, track
-from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.filter import ArticulatedEkf, PeopleFilter
 from ekf_tracker.motion_model import POSE, VELOCITY, DampedVelocity
-from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES
+from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES, ReferencePoints
+from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_packets.state import NoState, Tracking
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -189,18 +190,6 @@ def test_arms_pointing_forward_in_gimbal_lock_are_tracked_like_any_other(body):
 # --- stamps and other input -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_ns", [0, 1_000_000_000])
-def test_stamp_that_does_not_advance_is_refused_and_leaves_the_state_alone(body, person, late_ns):
-    ekf = ArticulatedEkf(body, made.IDEAL)
-    made.run(ekf, person, 20)
-    with pytest.raises(InputError, match="not later than the last one"):
-        ekf.step(made.stamp(19) - late_ns, person.points(0.3), made.isotropic(0.02), made.ALL)
-    (after,), _ = made.run(ekf, person, 1, start=20)
-    undisturbed, _ = made.run(ArticulatedEkf(body, made.IDEAL), person, 20)
-    assert after.stamp_ns == made.stamp(20)
-    assert np.linalg.norm(after.points_world - undisturbed[-1].points_world, axis=1).max() < 0.1
-
-
 def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
     ekf = ArticulatedEkf(body, made.IDEAL)
     before, truth = made.run(ekf, person, 60)
@@ -212,3 +201,18 @@ def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
     assert np.abs(after[0].velocity - before[-1].velocity).max() < 3.5
     assert np.trace(after[0].covariance) < 4.0 * np.trace(before[-1].covariance)
     assert made.errors_mm(after, truth).mean() < 25.0
+
+
+def test_person_who_is_not_measured_begins_anew_and_points_that_cannot_be_used_move_nobodys_filter(body, person):
+    people, bodies, points = PeopleFilter(), {1: body, 2: body}, person.points(0.0)
+    first, elsewhere, spoilt = (
+        ReferencePoints(points + np.array([x, 0.0, 0.0]), sign * made.isotropic(0.01), made.ALL)
+        for x, sign in ((0.0, 1.0), (3.0, 1.0), (0.0, -1.0))
+    )
+    with pytest.raises(InputError):
+        people.step(FittedPeople(made.stamp(1), PeoplePoints({1: first, 2: spoilt}), bodies))
+    for k, measured in enumerate(({1: first, 2: first}, {1: first}, {1: first, 2: elsewhere}), start=1):
+        states = people.step(FittedPeople(made.stamp(k), PeoplePoints(measured), bodies))
+        assert list(states) == list(measured)
+    np.testing.assert_allclose(states[2].points_world, elsewhere.points_world, atol=0.01)
+    assert np.abs(states[2].velocity[:3]).max() < 0.1  # m/s

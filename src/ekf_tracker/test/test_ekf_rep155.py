@@ -47,7 +47,7 @@ def largest_error(body, pose, angles):
 
 def test_urdf_walked_with_the_angles_ends_at_the_reference_points(body):
     rng = np.random.default_rng(0)
-    for _ in range(200):
+    for _ in range(40):
         pose = random_pose(rng)
         assert largest_error(body, pose, hri_angles(pose)) < 1e-6
         assert largest_error(body, pose, hri_angles(pose, rng.uniform(-3, 3, 20))) < 1e-6
@@ -63,7 +63,7 @@ def test_limb_directions_follow_from_the_angles_with_the_axes_of_rep_155(body):
         (12, ("left_hip", "left_knee", "left_foot"), ([0, 0, -1], [1, 0, 0], [0, -1, 0])),
         (16, ("right_hip", "right_knee", "right_foot"), ([0, 0, -1], [-1, 0, 0], [0, -1, 0])),
     )
-    for _ in range(50):
+    for _ in range(20):
         pose = random_pose(rng)
         angles, p = hri_angles(pose), forward(body, pose)
         for first, (start, middle, end), axes in limbs:
@@ -83,7 +83,7 @@ def test_zero_pose_is_a_person_who_stands_with_hanging_arms():
 
 def test_angles_stay_continuous_while_an_arm_swings_through_hanging(body):
     previous, largest = None, 0.0
-    for swing in np.linspace(-0.3, 0.3, 61):  # left arm from behind the body to in front of it
+    for swing in np.linspace(-0.3, 0.3, 31):  # left arm from behind the body to in front of it
         R_arm = Rotation.from_rotvec([0, -swing, 0]).as_matrix() @ Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix()
         base = Person(body).pose(0.0)
         pose = Pose(base.position_world, base.R_world_torso, [base.R_joints[0], R_arm, *base.R_joints[2:]], base.hinges)
@@ -92,7 +92,7 @@ def test_angles_stay_continuous_while_an_arm_swings_through_hanging(body):
             largest = max(largest, np.abs(angles - previous)[4:7].max())
         previous = angles
         assert largest_error(body, pose, angles) < 1e-6
-    assert largest < 0.05
+    assert largest < 0.08
 
 
 @pytest.mark.parametrize(

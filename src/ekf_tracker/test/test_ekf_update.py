@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from capture_rig.errors import InputError
 from ekf_tracker.kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate
 from ekf_tracker.measurement import Measurement, Sizes, linearised
-from ekf_tracker.motion_model import POSE, VELOCITY, DampedVelocity, Identity, per_slot
+from ekf_tracker.motion_model import POSE, VELOCITY, DampedVelocity, Identity
 from stick_figure.joint_limits import BALL_RATES
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.kinematics import forward
@@ -185,25 +185,13 @@ def van_loan(damping, density, dt):
     return F, F @ E[:2, 2:]
 
 
-def slot_blocks(F, Q, slot):
-    both = np.ix_([slot, 24 + slot], [slot, 24 + slot])
-    return F[both], Q[both]
-
-
 @pytest.mark.parametrize("dt", [1e-6, 1e-4, 1 / 1000, 1 / 60, 1 / 40, 0.5, 2.0])
 @pytest.mark.parametrize(("slot", "acceleration"), [(1, 8.0), (4, 30.0), (8, 60.0), (14, 80.0)])
 @pytest.mark.parametrize(("kept", "period"), [(0.9, 1 / 40), (0.8, 0.05)])
 def test_damped_velocity_equals_the_integrated_process_for_every_kind_of_joint(dt, slot, acceleration, kept, period):
     model = DampedVelocity(kept=kept, reference_period=period)
-    F, Q = slot_blocks(*dense_matrices(model.transition(dt)), slot)
+    both = np.ix_([slot, 24 + slot], [slot, 24 + slot])
+    F, Q = (matrix[both] for matrix in dense_matrices(model.transition(dt)))
     F_true, Q_true = van_loan(-np.log(kept) / period, acceleration**2 * period, dt)
     np.testing.assert_allclose(F, F_true, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(Q, Q_true, rtol=1e-6)
-
-
-def test_identity_model_moves_nothing_and_grows_the_pose_by_the_thesis_noise():
-    F, Q = dense_matrices(Identity().transition(0.05))
-    moved = F @ np.concatenate([np.zeros(24), np.ones(24)])
-    np.testing.assert_array_equal(moved, 0.0)
-    np.testing.assert_array_equal(F[POSE, POSE], np.eye(24))
-    np.testing.assert_allclose(np.diag(Q)[POSE], (per_slot(1.0, 1.5, 3.0, 3.0) * 0.05) ** 2)

@@ -196,10 +196,6 @@ def test_camera_that_delivers_nothing_is_not_judged_and_the_others_are():
     assert session.show(6, blank("cam01")).left_out == ("cam01",)
 
 
-def test_detector_that_is_switched_off_leaves_nobody_out():
-    assert not Session(rig_of(5), walking(5), enabled=False).show(10, blank("cam02")).left_out
-
-
 def test_consistency_is_near_one_for_sound_cameras_and_low_for_one_that_shows_what_is_not_there():
     session = Session(rig_of(6), walking(6))
     assert min(mean.consistency for mean in session.show(LAP).means.values()) > 0.9

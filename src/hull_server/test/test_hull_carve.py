@@ -1,8 +1,8 @@
-"""Every backend against a float64 brute force of the rule: occupied where all who see agree, and enough see."""
+"""The CPU's carve against a float64 brute force of the rule: occupied where all who see agree, and enough see; the
+choice of a backend, and the sweep. The compute carve is held to the CPU's bytes in test_hull_gl.py."""
 
 import sys
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -16,51 +16,13 @@ from hull_server.carving import make_backend
 from hull_server.carving.cpu_carver import CpuCarver
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.egl import GlContext, NoGraphics
-from hull_server.views import RigViews, min_seeing
-
-BACKENDS = ["cpu", pytest.param("gl", marks=needs_gl), pytest.param("sweep", marks=needs_gl)]
-
-
-def carve(kind, rig, masks, voxel, needed):
-    backend = make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, voxel))[0]
-    volume = backend.carve(masks, needed)
-    backend.close()
-    return volume
-
-
-@cache
-def scene(cameras, seed=0, yaw=0.0, x=0.0, y=0.0):
-    """A ring rig and the silhouettes of a person; rendering them is what costs time."""
-    rig = ring_rig(cameras, size=(256, 200), focal_px=188.0, seed=seed)
-    return rig, silhouettes(rig, capsule_person(yaw, x, y))
-
-
-@pytest.mark.parametrize("kind", BACKENDS)
-def test_carve_does_not_veto_where_a_camera_is_blind(kind):
-    """A camera that sees the legs only must not cut off the arms (unseen is not outside)."""
-    rig, masks = scene(5, seed=1)
-    tele = look_at("cam06", np.array([3.2, 0.4, 0.6]), np.array([0.0, 0.0, 0.3]), 480.0, (256, 200))
-    without = carve(kind, rig, masks, 0.03, 3).to_dense()
-    masks = masks | silhouettes(Rig((tele,), rig.volume), capsule_person())
-    with_tele = carve(kind, Rig((*rig.cameras, tele), rig.volume), masks, 0.03, 3).to_dense()
-    above, below = round((1.2 + 0.05) / 0.03), round((0.9 + 0.05) / 0.03)
-    assert with_tele[:, :, above:].sum() == without[:, :, above:].sum() > 0
-    assert with_tele[:, :, :below].sum() < without[:, :, :below].sum()  # where it sees, it carves
-
-
-@pytest.mark.parametrize("kind", BACKENDS)
-def test_carve_of_empty_silhouettes_and_of_one_camera_is_empty(kind):
-    rig, masks = scene(3)
-    blank = {name: np.zeros_like(mask) for name, mask in masks.items()}
-    alone = {"cam02": masks["cam02"]}
-    for given_masks, needed in ((blank, 2), (alone, min_seeing(1)), ({}, min_seeing(0))):
-        volume = carve(kind, rig, given_masks, 0.05, needed)
-        assert volume.count == 0 and len(volume.index) == 0 and not volume.to_dense().any()
+from hull_server.views import RigViews
 
 
 @needs_gl
 def test_sweep_gives_the_same_volume_whichever_axis_it_sweeps_along():
-    rig, masks = scene(4, seed=7)
+    rig = ring_rig(4, size=(256, 200), focal_px=188.0, seed=7)
+    masks = silhouettes(rig, capsule_person())
     backend = make_backend("sweep", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.05))[0]
     across_x, across_y, across_z = (backend.sweep(masks, 3, axis) for axis in range(3))
     assert across_z.sum() > 0
@@ -91,10 +53,11 @@ def test_carve_counts_more_than_fifteen_cameras():
     rig = ring_rig(18, size=(96, 72), focal_px=75.0, seed=4, distortion=False)
     rig = Rig(tuple(replace(camera, name=f"cam{i + 1:02d}") for i, camera in enumerate(rig.cameras)), rig.volume)
     masks = silhouettes(rig, capsule_person())
+    carver = CpuCarver(RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.05))
     for needed in (15, 16, 17):
         expected = carve_brute_force(rig, masks, 0.05, needed)
         assert expected.sum() > 100
-        assert np.array_equal(carve("cpu", rig, masks, 0.05, needed).to_dense(), expected)
+        assert np.array_equal(carver.carve(masks, needed).to_dense(), expected)
 
 
 @needs_gl

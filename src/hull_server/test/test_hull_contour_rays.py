@@ -239,10 +239,6 @@ def edges(inside, **rules):
     return found[:, :2], found[:, 2:]
 
 
-def degrees_between(a, b):
-    return np.degrees(np.arccos(np.clip(np.sum(a * b, axis=1), -1, 1)))
-
-
 @pytest.mark.parametrize("radius", [7.0, 12.0, 20.0, 45.0])
 def test_edge_of_a_circle_is_found_without_bias_in_any_direction(radius):
     rng = np.random.default_rng(int(radius))
@@ -253,7 +249,8 @@ def test_edge_of_a_circle_is_found_without_bias_in_any_direction(radius):
         distance = np.linalg.norm(radial, axis=1)
         offsets.append(distance - radius)
         bearings.append(np.degrees(np.arctan2(radial[:, 1], radial[:, 0])) % 360)
-        turns.append(degrees_between(normals, radial / distance[:, None]))
+        cosines = np.sum(normals * radial, axis=1) / distance
+        turns.append(np.degrees(np.arccos(np.clip(cosines, -1, 1))))
     offsets, bearings, turns = np.concatenate(offsets), np.concatenate(bearings), np.concatenate(turns)
     assert abs(offsets.mean()) < 0.1 and offsets.std() < 0.2
     by_direction = [offsets[(bearings >= low) & (bearings < low + 30)].mean() for low in range(0, 360, 30)]

@@ -110,16 +110,6 @@ def test_context_on_one_way_alone_works_where_the_driver_offers_it(monkeypatch, 
     assert_draws(request.getfixturevalue("context"))
 
 
-def test_context_asked_for_hardware_is_hardware_or_says_why_not(context):
-    try:
-        with_hardware = GlContext(hardware=True)
-    except NoGraphics as error:
-        assert not context.is_hardware and "no hardware OpenGL 4.3 context" in str(error)
-    else:
-        assert with_hardware.is_hardware
-        with_hardware.close()
-
-
 def test_context_serves_threads_one_at_a_time_until_it_is_closed(context):
     busy, overlaps = threading.Lock(), []
 

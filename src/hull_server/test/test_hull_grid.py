@@ -36,16 +36,6 @@ def test_bricks_round_trip_dense_occupancy(shape, share, seed):
     assert (np.diff(volume.index.astype(int)) > 0).all() and volume.leaves.any(axis=1).all()
 
 
-def test_bricks_voxel_centres_are_those_of_the_occupied_cells():
-    grid = VoxelGrid(np.array([1.0, 2.0, 3.0]), 0.1, (12, 9, 17))
-    dense = np.zeros(grid.shape, bool)
-    dense[11, 8, 16] = dense[0, 0, 0] = dense[3, 8, 2] = True
-    centres = grid.centres_world(BrickVolume.from_dense(grid, dense).voxels())
-    expected = grid.origin + (np.argwhere(dense) + 0.5) * 0.1
-    np.testing.assert_allclose(np.sort(centres, axis=0), np.sort(expected, axis=0))
-    assert BrickVolume.from_dense(grid, dense).litres == pytest.approx(3.0)
-
-
 def test_views_refuse_a_rig_with_one_camera_and_masks_that_do_not_fit():
     rig = ring_rig(3)
     with pytest.raises(InputError, match=r"1 camera\(s\); a visual hull needs 2"):

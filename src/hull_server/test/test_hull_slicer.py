@@ -36,10 +36,6 @@ def oracle_blobs(dense: np.ndarray) -> np.ndarray:
     return np.array(found, float).reshape(-1, 8)
 
 
-def as_rows(blobs: BlobTable) -> np.ndarray:
-    return np.column_stack([blobs.axis, blobs.centroid, blobs.area, blobs.covariance])
-
-
 def in_order(rows: np.ndarray) -> np.ndarray:
     return rows[np.lexsort(np.round(rows, 6).T[::-1])]
 
@@ -53,13 +49,9 @@ def in_order(rows: np.ndarray) -> np.ndarray:
 )
 def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, share, turned, seed):
     dense = np.random.default_rng(seed).random(shape[::-1] if turned else shape) < share
-    rows = as_rows(slice_hull(volume_of(dense))[0])
+    blobs = slice_hull(volume_of(dense))[0]
+    rows = np.column_stack([blobs.axis, blobs.centroid, blobs.area, blobs.covariance])
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
-
-
-def test_blobs_of_an_empty_volume_are_none():
-    blobs, runs = slice_hull(volume_of(np.zeros((9, 9, 9), bool)))
-    assert len(blobs.axis) == len(runs.starts) == 0
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -117,16 +109,12 @@ def test_parts_equal_scipy_components(shape, share, seed):
                 assert expected[tuple(np.round(centroid).astype(int))] == label_of_part[part]
 
 
-def ellipse_volume(a: float, b: float, turn: float) -> np.ndarray:
-    """One slice with an ellipse of half axes a, b (voxels), turned by ``turn``."""
-    x, y = np.meshgrid(np.arange(121) - 60.3, np.arange(121) - 59.6, indexing="ij")
-    u, v = x * np.cos(turn) + y * np.sin(turn), -x * np.sin(turn) + y * np.cos(turn)
-    return ((u / a) ** 2 + (v / b) ** 2 <= 1)[:, :, None]
-
-
 @pytest.mark.parametrize(("a", "b", "turn"), [(20, 20, 0), (40, 20, 0.5), (30, 12, 1.2), (6, 6, 0)])
 def test_elongation_and_fill_of_an_ellipse(a, b, turn):
-    blobs = slice_hull(volume_of(ellipse_volume(a, b, turn)))[0]
+    """One slice with half axes a, b (voxels)."""
+    x, y = np.meshgrid(np.arange(121) - 60.3, np.arange(121) - 59.6, indexing="ij")
+    u, v = x * np.cos(turn) + y * np.sin(turn), -x * np.sin(turn) + y * np.cos(turn)
+    blobs = slice_hull(volume_of(((u / a) ** 2 + (v / b) ** 2 <= 1)[:, :, None]))[0]
     index = np.flatnonzero(blobs.axis == 2)[0]
     elongation, fill = shape_of(blobs.area[index], *blobs.covariance[index])
     assert elongation == pytest.approx(a / b, rel=0.03)
@@ -170,18 +158,9 @@ EVERYTHING = BlobSettings(min_area_m2=0.0, max_elongation=1e9, min_fill=0.0, max
 SHAPE_ALONE = BlobSettings(max_elongation=2.0, max_growth=0.0)
 
 
-def across(blobs: BlobTable, axis: int) -> BlobTable:
-    """The blobs of the slices across one axis."""
-    return BlobTable(*(column[blobs.axis == axis] for column in blobs))
-
-
-def upright_cylinder(radius: float = 7.0) -> np.ndarray:
-    x, y = np.meshgrid(np.arange(40), np.arange(40), indexing="ij")
-    return np.repeat(((x - 19.5) ** 2 + (y - 21.5) ** 2 <= radius**2)[:, :, None], 60, axis=2)
-
-
 def test_centerline_of_an_upright_cylinder_is_its_axis():
-    volume = volume_of(upright_cylinder())
+    x, y = np.meshgrid(np.arange(40), np.arange(40), indexing="ij")
+    volume = volume_of(np.repeat(((x - 19.5) ** 2 + (y - 21.5) ** 2 <= 7.0**2)[:, :, None], 60, axis=2))
     line = find_centerline(slice_hull(volume)[0], volume.grid, BlobSettings())
     assert (line.axis == 2).all()  # cut lengthwise it is four times as long as wide
     axis_world = volume.grid.centres_world([[19.5, 21.5, k] for k in range(1, 59)])  # all but the ends
@@ -198,7 +177,8 @@ def test_centerline_filters_drop_small_long_and_concave_blobs():
     dense[40:70, 0:10] = True  # three times as long as wide
     dense[80:110, 0:4] = dense[80:84, 0:30] = True  # an L
     volume = volume_of(dense)
-    flat = across(slice_hull(volume)[0], 2)
+    blobs = slice_hull(volume)[0]
+    flat = BlobTable(*(column[blobs.axis == 2] for column in blobs))
     line = find_centerline(flat, volume.grid, SHAPE_ALONE)
     np.testing.assert_allclose(line.points_world, volume.grid.centres_world([[4.5, 4.5, 0], [30.5, 1, 0]]), atol=1e-9)
     assert len(find_centerline(flat, volume.grid, EVERYTHING)) == 5

@@ -96,7 +96,7 @@ def test_camera_that_is_put_back_is_no_suspect_any_more():
     rig = rig_of(6)
     monitor = ExtrinsicMonitor(rig)
     assert list(watched(monitor, rig, {4: ((0, 1.0, 0), (0, 0, 0), 0.0)}).suspects) == ["cam05"]
-    assert watched(monitor, rig, {}, 3 * SLOW_SECONDS, SECONDS).suspects == {}
+    assert watched(monitor, rig, {}, 2 * SLOW_SECONDS, SECONDS).suspects == {}
 
 
 def test_three_cameras_do_not_tell_which_of_them_moved():

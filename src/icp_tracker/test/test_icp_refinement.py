@@ -1,6 +1,7 @@
 """A body's sizes from contour rays that a known body made."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -215,16 +216,6 @@ def sum_of_squares(contour_rays, matches, P, Q, radii):
     return total
 
 
-class FixedSource:
-    """A first pose that is there at once."""
-
-    def __init__(self, found):
-        self._found = found
-
-    def find_pose(self, seen):
-        return self._found
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("was_measured", [True, False])
 def test_tracker_takes_over_better_sizes_of_a_measured_body_and_the_build_alone_of_a_given_one(was_measured):
@@ -232,7 +223,8 @@ def test_tracker_takes_over_better_sizes_of_a_measured_body_and_the_build_alone_
     estimate, truth = wrong_start(rng)
     body, first = shapes.body_of(truth), made.moving_pose(rng)
     surface = BodySurface.of(body)
-    source = FixedSource(InitialPose(first, estimate.body, "", estimate if was_measured else None))
+    found = InitialPose(first, estimate.body, "", estimate if was_measured else None)
+    source = SimpleNamespace(find_pose=lambda seen: found)
     refinement = replace(EXACT, pause_s=0.1, explained=0.5)
     tracker = IcpTracker(source, TrackerSettings(refinement=refinement, recovery=RecoverySettings(search=False)))
     for k in range(40 if was_measured else 12):

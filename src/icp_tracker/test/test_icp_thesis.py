@@ -6,7 +6,7 @@ import synthetic_people as synthetic
 from scipy.spatial.transform import Rotation
 
 from icp_tracker.thesis import procrustes
-from icp_tracker.thesis.hierarchical_icp import fit_hierarchical, weight_points, x84_keep, x84_threshold
+from icp_tracker.thesis.hierarchical_icp import fit_hierarchical, weight_points, x84_keep
 from stick_figure.kinematics import forward
 
 
@@ -83,14 +83,6 @@ def test_x84_rejects_nothing_of_a_perfect_set():
     nearly = np.r_[np.zeros(30), np.full(20, 1e-6)]  # MAD = 0: without the floor 40 % would go
     assert keep(nearly, np.zeros(50, int)).all()
     assert not keep(nearly, np.zeros(50, int), floor=0.0).all()
-
-
-def test_x84_threshold_is_median_plus_three_and_a_half_sigma():
-    distances = np.abs(np.random.default_rng(2).normal(0.0, 0.03, 999))
-    centre = np.median(distances)
-    expected = centre + 3.5 * 1.4826 * np.median(np.abs(distances - centre))
-    assert x84_threshold(distances, 0.005) == pytest.approx(expected, rel=1e-12)
-    assert x84_threshold(np.zeros(0), 0.005) == np.inf
 
 
 # --- weighted Procrustes ----------------------------------------------------------------------------------------------

@@ -93,22 +93,6 @@ def test_points_that_are_not_finite_are_dropped_and_counted(body, motion):
     assert np.array_equal(result.reference_points_world, expected.reference_points_world)
 
 
-def test_before_the_first_pose_the_points_are_zero_invisible_and_unknown(motion):
-    _, clouds = motion
-
-    class Nothing:
-        def find_pose(self, seen):
-            return InitialPose(reason="arms not level")
-
-    tracker = IcpTracker(Nothing())
-    result = tracker.step(HullProducts.of_points(stamp(0), clouds[0]))
-    assert result.state == "acquiring" and result.reason == "arms not level"
-    assert result.started_from == "nothing"
-    assert not result.reference_points_world.any() and not result.visible.any()
-    assert (np.linalg.eigvalsh(result.covariance) >= 99.0).all()
-    assert result.pose is None
-
-
 def test_first_pose_that_explains_nothing_is_not_believed(body, motion):
     poses, clouds = motion
     tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)

@@ -49,8 +49,12 @@ def test_normal_equations_of_voxels_are_those_of_finite_difference_derivatives(b
     rng = np.random.default_rng(4)
     pose = synthetic.smooth_motion(5, seed=3)[4]
     voxels = surface_of(body, pose.retract(0.02 * rng.normal(size=24)), rng, 200)
-    H, g = voxel_equations(body, pose, voxels)
-    radii = even_radii(body)
+    figure = Figure.of(body)
+    # without taper: a taper tilts the surface against the axis, which the solver's normal leaves out
+    radii = np.repeat(BodySurface.of(body).radii.mean(1, keepdims=True), 2, axis=1)
+    even = place(State.of(pose), figure._replace(surface=figure.surface._replace(radii=radii)))
+    distances_m = surface_distances(voxels, even)
+    H, g = synthetic.equations(add_surface, voxels, distances_m, even, 1.0, synthetic.WIDE_M)
 
     def distances(x):
         P, Q, _ = capsules(synthetic.placed(body, pose.retract(x)))
@@ -63,17 +67,6 @@ def test_normal_equations_of_voxels_are_those_of_finite_difference_derivatives(b
     uphill = J.T @ distances(np.zeros(24))
     assert np.abs(g + uphill).max() < NECK_TOLERANCE * np.abs(g).max()
     assert np.abs(g + uphill)[NOT_NECK].max() < 1e-6 * np.abs(g).max()
-
-
-def even_radii(body):
-    """Radii without taper: a taper tilts the surface against the axis, which the solver's normal leaves out."""
-    return np.repeat(BodySurface.of(body).radii.mean(1, keepdims=True), 2, axis=1)
-
-
-def voxel_equations(body, pose, voxels):
-    figure = Figure.of(body)
-    even = place(State.of(pose), figure._replace(surface=figure.surface._replace(radii=even_radii(body))))
-    return synthetic.equations(add_surface, voxels, surface_distances(voxels, even), even, 1.0, synthetic.WIDE_M)
 
 
 def test_hull_shows_the_heading_that_the_centerline_cannot(body):

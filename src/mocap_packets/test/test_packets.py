@@ -9,10 +9,8 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import Fit, ReferencePoints
 from mocap_packets.hull import Centerline, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.people import FittedPeople, PeoplePoints, body_numbers, format_bodies, parse_bodies
-from mocap_packets.state import NoState, Prediction
 from mocap_packets.table import SetAges
 from stick_figure.body import Body
-from stick_figure.pose import T_POSE_ANGLES, Pose
 
 ROWS = 12
 RNG = np.random.default_rng(0)
@@ -48,13 +46,6 @@ def test_rows_of_one_body_leave_out_all_others():
         assert len(part) == np.count_nonzero(BODY == 1) and (part.body == 1).all()
 
 
-def test_points_that_are_not_finite_are_dropped_and_counted():
-    points = np.zeros((4, 3))
-    points[1, 2], sigma = np.nan, np.array([0.1, 0.1, np.inf, 0.1])
-    finite, dropped = HullProducts.of_points(0, points, sigma).finite()
-    assert dropped == 2 and len(finite.centerline) == 2
-
-
 def test_covariances_of_a_fit_leave_it_exactly_symmetric_as_six_numbers_are():
     root = RNG.normal(size=(15, 3, 3))
     covariance = root @ root.transpose(0, 2, 1)
@@ -65,15 +56,6 @@ def test_covariances_of_a_fit_leave_it_exactly_symmetric_as_six_numbers_are():
     np.testing.assert_array_equal(points.covariance[:, 0], covariance[:, 0])
     for mine, again in zip(points, type(points).from_table(points.to_table()), strict=True):
         assert mine.dtype == again.dtype and mine.tobytes() == again.tobytes()
-
-
-def test_prediction_is_the_same_pose_and_velocity_and_without_a_state_there_is_none():
-    pose = Pose.from_angles(np.array([0.1, 0.2, 1.0]), np.eye(3), T_POSE_ANGLES + 0.1)
-    prediction = Prediction.of(7, pose, np.arange(24.0))
-    assert np.abs(prediction.pose.minus(pose)).max() < 1e-12
-    np.testing.assert_array_equal(prediction.velocity, np.arange(24.0))
-    prediction = NoState(9, "waiting").prediction
-    assert prediction.stamp_ns == 9 and prediction.pose is None and not prediction.velocity.any()
 
 
 @pytest.mark.parametrize("count", [0, 5, 100])

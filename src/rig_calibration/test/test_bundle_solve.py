@@ -15,7 +15,7 @@ def noisy() -> RigSolution:
     cameras = studio.ring(4)
     return solve_rig(
         cameras,
-        studio.carried_and_floor(cameras, np.random.default_rng(1), 100),
+        studio.carried_and_floor(cameras, np.random.default_rng(1), 60),
         studio.TARGETS,
         reference=studio.ON_FLOOR,
     )
@@ -39,7 +39,7 @@ def test_noisy_corners_give_centres_within_5_mm_a_tenth_of_a_degree_and_figures_
 
 def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
     cameras = studio.ring(4)
-    detections = studio.carried_and_floor(cameras, np.random.default_rng(1), 100)
+    detections = studio.carried_and_floor(cameras, np.random.default_rng(1), 60)
     other = solve_rig(cameras, detections, studio.TARGETS)
     (root,) = [name for name, covariance in other.covariance.items() if not covariance.any()]
     np.testing.assert_allclose(other.cameras[root].T_camera_world, np.eye(4), atol=1e-12)
@@ -104,7 +104,7 @@ def test_minimum_is_that_of_scipy_least_squares():
 def test_rig_is_found_when_each_pair_shares_views_but_nobody_sees_all():
     cameras = studio.ring(6)
     detections = studio.detections_of(
-        cameras, studio.carried(np.random.default_rng(6), 60), "moving", np.random.default_rng(0)
+        cameras, studio.carried(np.random.default_rng(6), 40), "moving", np.random.default_rng(0)
     )
     solution = solve_rig(cameras, detections, {"moving": studio.BOARD.corners_board})
     centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(cameras, "cam01"), "cam01"))

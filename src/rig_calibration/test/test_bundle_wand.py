@@ -48,14 +48,14 @@ def test_blobs_lie_where_the_markers_are(radius_px: float):
 
 def test_dark_stick_before_a_brighter_wall_does_not_shift_the_balls():
     rng, fine = np.random.default_rng(0), 8
-    ends = np.array([[200.3, 150.6], [252.7, 171.2]])
-    light = np.full((300 * fine, 400 * fine), 0.12)
+    ends = np.array([[50.3, 50.6], [102.7, 71.2]])
+    light = np.full((120 * fine, 160 * fine), 0.12)
     place = ((ends + 0.5) * fine - 0.5).astype(np.float32)
     cv2.line(light, *(tuple(np.rint(p).astype(int).tolist()) for p in place), 0.01, 3 * fine)
     rows, columns = np.mgrid[: light.shape[0], : light.shape[1]]
     for x, y in place:
         light[np.hypot(columns - x, rows - y) < 3.6 * fine] = 1.2  # beyond what the sensor takes
-    blurred = cv2.GaussianBlur(cv2.resize(light, (400, 300), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
+    blurred = cv2.GaussianBlur(cv2.resize(light, (160, 120), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
     along, away = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]), []
     for _ in range(12):
         image = np.clip(np.rint(255 * blurred + 2 * rng.normal(size=blurred.shape)), 0, 255).astype(np.uint8)
@@ -116,7 +116,7 @@ def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
     cameras = studio.ring(4)
     solution = solve_rig(
         cameras,
-        wand_detections(marks, 30, seed=1),
+        wand_detections(marks, 20, seed=1),
         {WAND: wand_points(marks)},
         alike={WAND} if wand_looks_alike(marks) else (),
     )
@@ -134,7 +134,7 @@ def test_wand_and_floor_board_together_give_the_world():
     floor = studio.detections_of(cameras, {0: studio.T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
     solution = solve_rig(
         cameras,
-        wand_detections(TWO, 40, seed=2) + floor,
+        wand_detections(TWO, 20, seed=2) + floor,
         {WAND: wand_points(TWO), "floor": studio.TARGETS["floor"]},
         reference=studio.ON_FLOOR,
         alike={WAND},

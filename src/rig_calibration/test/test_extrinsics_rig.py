@@ -34,14 +34,6 @@ def carried_detections(cameras: dict[str, CameraModel], count: int = 40) -> list
     return made.see_all(cameras, made.CARRIED_BOARD, made.carried_poses(count), MOVING)
 
 
-def both_boards(
-    cameras: dict[str, CameraModel], floor: Checkerboard = made.FLOOR_BOARD, carried: Checkerboard = made.CARRIED_BOARD
-) -> RigCalibration:
-    """The rig from pictures of both boards, which are stated to be these."""
-    targets = {FLOOR: Target.of(floor, WorldChoice()), MOVING: Target.of(carried)}
-    return calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), targets)
-
-
 def findings(calibrated: RigCalibration) -> str:
     return "\n".join(f"{f.grade}: {f.what} -> {f.remedy}" for f in calibrated.verdict.findings)
 
@@ -81,7 +73,8 @@ def test_floor_board_alone_places_all_cameras_within_their_uncertainty(room: dic
 
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
-    calibrated = both_boards(room, floor=Checkerboard(7, 4, (0.126, 0.126)))  # stated 5 % too large
+    stated = Target.of(Checkerboard(7, 4, (0.126, 0.126)), WorldChoice())  # 5 % too large
+    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), TARGETS | {FLOOR: stated})
     ratio, sd = calibrated.solution.scale_of[FLOOR]
     assert ratio == pytest.approx(1 / 1.05, abs=4 * sd) and sd < 0.005
     assert calibrated.verdict.grade == REDO
@@ -143,15 +136,10 @@ def folding_cameras():
     return {name: replace(c, width=644, height=486, K=K, D=D) for name, c in ring(4, 2.2, 1.8).items()}
 
 
-def of_boards(rig):
-    floor = made.see_all(rig, made.FLOOR_BOARD, [made.on_floor(made.FLOOR_BOARD)], FLOOR)
-    return floor + made.see_all(rig, made.CARRIED_BOARD, made.carried_poses(60), MOVING)
-
-
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_rig_of_folding_lenses_is_placed_and_its_figures_are_numbers():
     rig = folding_cameras()
-    result = calibrate_rig(rig, of_boards(rig), TARGETS)
+    result = calibrate_rig(rig, floor_detections(rig) + carried_detections(rig, 60), TARGETS)
     for camera in result.rig.cameras:
         place_mm, turn_deg = made.pose_errors(camera, rig[camera.name])
         assert place_mm < 10.0 and turn_deg < 0.2
@@ -165,6 +153,7 @@ def test_rig_of_folding_lenses_is_placed_and_its_figures_are_numbers():
 def test_camera_that_sees_the_board_only_in_a_folded_corner_is_named():
     rig = folding_cameras()
     corner = np.column_stack([np.tile(np.arange(6) + 1.0, 9), np.repeat(np.arange(9) + 1.0, 6)])
-    detections = [d if d.camera != "cam04" else replace(d, pixels=corner[: len(d)]) for d in of_boards(rig)]
+    detections = floor_detections(rig) + carried_detections(rig)
+    detections = [d if d.camera != "cam04" else replace(d, pixels=corner[: len(d)]) for d in detections]
     with pytest.raises(ValueError, match="cam04"):
         calibrate_rig(rig, detections, TARGETS)

@@ -32,12 +32,11 @@ def test_lens_is_found_within_its_own_standard_deviations():
 @pytest.mark.parametrize(
     "camera",
     [
-        lens(),
         lens((-0.22, 0.06, -2e-4, 2e-4, 0.0), focal=330.0),
         lens((0.1, -0.3, 0, 0, 0), focal=2500.0),
         lens((-0.02, 0.01, -0.004, 0.0006), "equidistant"),
     ],
-    ids=["wide", "wider", "long", "fisheye"],
+    ids=["wide", "long", "fisheye"],
 )
 def test_corners_without_noise_give_the_lens_back(camera):
     result = found(shown(camera, 20, 0.0, seed=2), model=camera.distortion_model)
@@ -88,7 +87,7 @@ def _bend(pixels):
 
 def test_bent_board_is_measured_and_does_not_spoil_the_lens():
     camera = lens()
-    detections = shown(camera, 30, 0.1, seed=6, bow_m=0.002)
+    detections = shown(camera, 15, 0.1, seed=6, bow_m=0.002)
     result = found(detections)
     assert result.warp_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.warp_m[1]) < 2e-4
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
@@ -96,7 +95,7 @@ def test_bent_board_is_measured_and_does_not_spoil_the_lens():
 
 
 def test_same_detections_in_any_order_give_the_same_bytes():
-    detections = shown(lens(), 12, 0.2, seed=9)
+    detections = shown(lens(), 8, 0.2, seed=9)
     one, other = found(detections), found(detections[::-1])
     assert one.camera.K.tobytes() == other.camera.K.tobytes()
     assert one.camera.D.tobytes() == other.camera.D.tobytes()
@@ -104,7 +103,7 @@ def test_same_detections_in_any_order_give_the_same_bytes():
 
 
 def test_auto_keeps_the_simple_model_for_a_lens_that_it_describes():
-    plain = found(shown(lens(), 20, 0.2, seed=10), model="auto")
+    plain = found(shown(lens(), 12, 0.2, seed=10), model="auto")
     assert plain.camera.distortion_model == "plumb_bob" and "no better, so the simpler one" in plain.choice
 
 
@@ -162,7 +161,7 @@ def test_views_that_say_too_little_are_named_with_grade_and_remedy(count, noise_
 
 
 def test_corners_that_are_much_less_exact_than_sharp_are_suspicious():
-    detections, rng = shown(lens(), 25, 0.05, seed=5), np.random.default_rng(5)
+    detections, rng = shown(lens(), 12, 0.05, seed=5), np.random.default_rng(5)
     shaken = [with_pixels(s, s.pixels + rng.normal(0, 1.0, s.pixels.shape)) for s in detections]
     assert "board not flat" in said(found(shaken), "corners miss their places by")[0].remedy
 

@@ -1,4 +1,4 @@
-"""Silhouettes, images, camera_info, stamps and the rule of thinning as messages, and what delivery rests on."""
+"""Silhouettes, images, camera_info, stamps and the rule of thinning as messages."""
 
 from __future__ import annotations
 
@@ -10,16 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
-from mocap_packets.silhouette import LEVELS as SUPPORT_LEVELS
-from mocap_packets.silhouette import ForegroundSupport
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
-from sagoma_ros import qos
 from sagoma_ros.images import (
     camera_info_message,
     decode_silhouette,
@@ -27,7 +23,6 @@ from sagoma_ros.images import (
     preview_message,
     read_support,
     silhouette_message,
-    support_message,
 )
 from sagoma_ros.messages import read_thinning, thinning_message, to_ns
 
@@ -54,12 +49,8 @@ def png(data: bytes) -> CompressedImage:
 def test_silhouette_comes_back_with_shadow_candidates_as_the_reader_wants_them(level: int) -> None:
     mask = body_mask()
     mask[90:, 60:140] = SHADOW_CANDIDATE
-    message = silhouette_message(mask, STAMP, "cam01_optical")
-    assert (to_ns(message.header.stamp), message.header.frame_id) == (STAMP, "cam01_optical")
-    read = decode_silhouette(message, WIDTH, HEIGHT, TOPIC, candidates=level)
+    read = decode_silhouette(silhouette_message(mask, STAMP, ""), WIDTH, HEIGHT, TOPIC, candidates=level)
     assert np.array_equal(read, np.where(mask == SHADOW_CANDIDATE, level, mask))
-    without = np.where(mask == SHADOW_CANDIDATE, 0, mask)
-    assert np.array_equal(decode_silhouette(message, WIDTH, HEIGHT, TOPIC), without)
 
 
 def test_mask_of_another_program_is_foreground_wherever_it_is_neither_zero_nor_a_candidate() -> None:
@@ -118,15 +109,6 @@ def test_camera_info_of_an_undistorted_canvas_has_no_distortion_and_P_equal_to_K
     assert (to_ns(info.header.stamp), info.header.frame_id) == (STAMP, "cam01_optical")
 
 
-def test_report_of_support_comes_back_with_the_size_of_its_cells() -> None:
-    cells = np.random.default_rng(0).choice(np.array(SUPPORT_LEVELS, np.uint8), (15, 20))
-    message = support_message(ForegroundSupport(STAMP, "cam01", 8, cells))
-    assert (to_ns(message.header.stamp), message.header.frame_id) == (STAMP, "cam01_optical")
-    back = read_support(message, "cam01", WIDTH, TOPIC)
-    assert (back.stamp_ns, back.camera, back.cell_px) == (STAMP, "cam01", 8)
-    assert np.array_equal(back.cells, cells)
-
-
 @pytest.mark.parametrize(("level", "width"), [(85, 170), (7, 160)], ids=["another canvas", "unknown level"])
 def test_report_that_does_not_fit_is_refused(level: int, width: int) -> None:
     cells = np.full((15, 20), level, np.uint8)
@@ -134,7 +116,7 @@ def test_report_that_does_not_fit_is_refused(level: int, width: int) -> None:
         read_support(image_message(cells, STAMP, "cam01_optical"), "cam01", width, TOPIC)
 
 
-# --- stamps, thinning and quality of service --------------------------------------------------------------------------
+# --- thinning ---------------------------------------------------------------------------------------------------------
 
 RULE = FrameDecimation(
     1_790_000_000_123_456_789, 1_790_000_000_200_000_000, 1_789_999_999_000_000_001, 16_666_666.667, 9, 20
@@ -164,8 +146,3 @@ def test_message_without_a_usable_rule_of_thinning_is_refused(key: str | None, v
             pair.value = value if pair.key == key else pair.value
     with pytest.raises(InputError, match="test"):
         read_thinning(message, "test")
-
-
-@pytest.mark.parametrize("subscriber", [qos.SILHOUETTE_SUBSCRIBER, qos.SILHOUETTE_RELIABLE_SUBSCRIBER])
-def test_silhouettes_reach_the_live_server_and_the_recorder(subscriber: QoSProfile) -> None:
-    assert qos_check_compatible(qos.SILHOUETTE_PUBLISHER, subscriber)[0] != QoSCompatibility.ERROR

@@ -196,13 +196,6 @@ def test_failing_configure_says_why_cleans_up_and_works_once_the_parameter_was_m
     assert node.settings.rig_file == "rig.yaml"
 
 
-def test_unknown_parameter_fails_configure_by_name_before_the_hook(ros: Spinner) -> None:
-    node = make_node(ros, rig_fiel="rig.yaml")
-    assert node.trigger_configure() == FAILURE
-    assert "configure" not in node.hooks
-    assert "unknown key 'rig_fiel'. Did you mean 'rig_file'?" in node.shown[1]
-
-
 def test_unexpected_error_in_a_hook_fails_the_transition_and_not_the_process(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     node.failing["configure"] = ZeroDivisionError("a defect")

@@ -102,16 +102,6 @@ def next_line(process: subprocess.Popen) -> str:
     return process.stdout.readline().strip()
 
 
-def test_signal_ends_the_node_although_an_extension_made_another_error_of_the_interrupt(start: Start) -> None:
-    process = start(*parameters(turned_interrupt=True))
-    assert (next_line(process), next_line(process)) == ("unconfigured", "waiting")  # nobody said autostart
-    process.send_signal(signal.SIGTERM)
-    output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, errors
-    assert output.split() == ["released"]
-    assert "Traceback" not in errors
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "said", "output"),
     [
@@ -133,10 +123,10 @@ def test_failing_start_ends_with_its_status_and_clear_text(start: Start, argumen
     assert said in errors and "Traceback" not in errors
 
 
-def test_error_in_a_callback_is_logged_and_the_node_goes_on_until_a_signal_ends_it(start: Start) -> None:
-    process = start(*parameters(autostart=True, failing_callback=True))
-    assert next_line(process) == "active"  # said in the turn after the failing one
-    process.send_signal(signal.SIGINT)
+def test_error_in_a_callback_is_logged_and_a_signal_ends_the_node_although_another_error_was_made_of_it(start) -> None:
+    process = start(*parameters(autostart=True, failing_callback=True, turned_interrupt=True))
+    assert (next_line(process), next_line(process)) == ("active", "waiting")  # in turns after the failing one
+    process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0 and output.split() == ["released"], errors
     assert "ZeroDivisionError: a defect in a callback" in errors and errors.count("Traceback") == 1

@@ -116,15 +116,11 @@ def test_straight_elbow_keeps_its_twist_where_noise_bends_it_the_other_way(strai
 # --- joint motion: quaternions ----------------------------------------------------------------------------------------
 
 
-def pose_turned_by(rng, turned_rad):
-    angles = T_POSE_ANGLES + turned_rad * rng.uniform(-1.0, 1.0, 18)
-    return Pose.from_angles(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix(), angles)
-
-
 @pytest.mark.parametrize("turned_rad", [0.0, 1e-9, 0.5])
 def test_quaternions_are_scipy_s_and_pose_and_velocity_come_back(turned_rad):
     rng = np.random.default_rng(6)
-    pose, velocity = pose_turned_by(rng, turned_rad), rng.normal(size=24)
+    R, angles = Rotation.random(random_state=rng).as_matrix(), T_POSE_ANGLES + turned_rad * rng.uniform(-1.0, 1.0, 18)
+    pose, velocity = Pose.from_angles(rng.normal(size=3), R, angles), rng.normal(size=24)
     motion = JointMotion.of(pose, velocity)
     rotations = np.concatenate([pose.R_world_torso[None], pose.R_joints])
     expected = Rotation.from_matrix(rotations).as_quat()
