@@ -146,14 +146,6 @@ def follow(body, pose, settings, frames=40, sd=0.02):
     return state
 
 
-def test_a_person_within_the_ranges_is_estimated_to_the_same_bytes_as_without_limits(body):
-    person = Person(body, speed=0.5)
-    limited, _ = run(ArticulatedEkf(body, IDEAL), person, 120, noise=0.002)
-    free, _ = run(ArticulatedEkf(body, NO_LIMITS), person, 120, noise=0.002)
-    for a, b in zip(limited, free, strict=True):
-        np.testing.assert_array_equal(a.points_world, b.points_world)
-
-
 @pytest.mark.parametrize(
     "angles",
     [{"left_shoulder_y": 3 * np.pi / 4 + 0.6}, {"right_hip_z": np.pi / 3 + 0.6}, {"left_hip_x": np.pi / 2 + 0.5}],

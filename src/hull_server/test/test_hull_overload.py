@@ -190,18 +190,14 @@ def grid_of(stamps: np.ndarray, *rule: FrameDecimation) -> Exposures | None:
     return find_exposures([EPOCH_NS + round(each) for each in stamps], *rule)
 
 
-def distance_to_grid(phase_ns: int, period_ns: float, stamp_ns: float) -> float:
-    turns = (EPOCH_NS - phase_ns + stamp_ns) / period_ns
-    return abs(turns - round(turns))
-
-
 @pytest.mark.parametrize("lost", [0.0, 0.15, 0.3])
 def test_grid_is_found_in_jitter_and_loss(lost: float) -> None:
     rng = np.random.default_rng(3)
     stamps = (np.arange(60) * PERIOD_NS + rng.normal(0, 3e5, 60))[rng.uniform(size=60) >= lost]
     grid = grid_of(stamps)
     assert grid is not None and grid.period_ns == pytest.approx(PERIOD_NS, rel=2e-3)
-    assert distance_to_grid(grid.phase_ns, grid.period_ns, 59 * PERIOD_NS) < 0.05
+    turns = (EPOCH_NS - grid.phase_ns + 59 * PERIOD_NS) / grid.period_ns
+    assert abs(turns - round(turns)) < 0.05
 
 
 def test_thinned_stamps_refine_the_grid_of_their_rule() -> None:

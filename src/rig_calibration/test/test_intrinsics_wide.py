@@ -104,15 +104,10 @@ def test_lens_that_folds_far_inside_the_image_must_be_done_again():
     assert said(result, "% of the image is not used")[0].grade == "redo"
 
 
-def fisheye(across_deg: float = 180.0) -> CameraModel:
-    """1280 x 1024 pixels, departing from the equidistant projection by a per cent, the axis off the middle."""
-    focal = 1280 / np.deg2rad(across_deg)
-    K = np.array([[focal, 0.0, 650.0], [0.0, 1.001 * focal, 505.0], [0.0, 0.0, 1.0]])
-    return CameraModel("cam01", 1280, 1024, K, "equidistant", np.array([-0.02, 0.01, -0.004, 0.0006]), np.eye(4))
-
-
 def test_fisheye_of_half_the_world_is_told_from_its_views_and_known_to_a_pixel():
-    camera = fisheye()
+    """180 degrees, departing from the equidistant projection by a per cent, the axis off the middle."""
+    K = np.array([[1280 / np.pi, 0.0, 650.0], [0.0, 1281.3 / np.pi, 505.0], [0.0, 0.0, 1.0]])
+    camera = CameraModel("cam01", 1280, 1024, K, "equidistant", np.array([-0.02, 0.01, -0.004, 0.0006]), np.eye(4))
     result = calibrated(camera, 3)
     assert result.camera.distortion_model == "equidistant" and result.verdict.grade == "usable", str(result.verdict)
     assert "with plumb_bob" in result.choice

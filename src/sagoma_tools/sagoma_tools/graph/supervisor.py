@@ -181,7 +181,7 @@ class Supervisor:
         if delay_s is None or self._halted.wait(delay_s):
             return
         with self._lock:
-            if self._halted.is_set():
+            if self._halted.is_set() or self.processes.child_of(names[0]) is not child:  # or it has been started again
                 return
             again = self.processes.start(restarted(process))
             self._states |= dict.fromkeys(names, State.UNCONFIGURED)
