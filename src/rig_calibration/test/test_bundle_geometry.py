@@ -93,11 +93,8 @@ def seen_once(T_world_target: np.ndarray, points: np.ndarray, ids: np.ndarray | 
     return TargetDetection("cam01", 0, ids, pixels, SIZE)
 
 
-@pytest.mark.parametrize(
-    "points", [BOARD.corners_board, np.random.default_rng(0).uniform(-0.3, 0.3, (12, 3))], ids=["board", "not flat"]
-)
-def test_first_pose_is_the_true_one_when_corners_are_exact(points: np.ndarray):
-    camera = camera_at("cam01", (3, 0, 2))
+def test_first_pose_is_the_true_one_when_corners_are_exact():
+    camera, points = camera_at("cam01", (3, 0, 2)), BOARD.corners_board
     for T in carried(np.random.default_rng(0), 10).values():
         shape = target_shape("", points)
         poses = detection_poses(seen_once(T, points), camera, shape)

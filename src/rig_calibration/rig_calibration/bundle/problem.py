@@ -67,15 +67,15 @@ def check_problem(
 
 # --- Targets.
 
-LINE, PLANE, VOLUME = 1, 2, 3
-THIN = 0.02  # of the target's length: points that spread less across lie, in effect, on a line; out of it, on a plane
+LINE, PLANE = 1, 2
+THIN = 0.02  # of the target's length: points that spread less across lie, in effect, on a line
 
 
 @dataclass(frozen=True, eq=False)
 class TargetShape:
-    """Points (n, 3) of a rigid target about their ``centroid`` (3,), metres, target frame.
+    """Points (n, 3) of a rigid, flat target about their ``centroid`` (3,), metres, target frame.
 
-    ``dimension`` is LINE, PLANE or VOLUME. ``bend`` (n, 2): how far a corner stands out along z where the middle does
+    ``dimension`` is LINE or PLANE. ``bend`` (n, 2): how far a corner stands out along z where the middle does
     by one metre, for a sheet that is bent along x and along y. ``ways`` (1 or 2, 3, 3): the identity and, where it maps
     the points onto themselves in reverse order, half a turn: the ways round that a picture does not tell apart.
     """
@@ -97,7 +97,7 @@ def target_shape(name: str, points_target: npt.ArrayLike, looks_alike: bool = Fa
     points = np.asarray(points_target, float)
     centred = points - points.mean(0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
-    dimension = max(int(np.sum(spread > THIN * spread[0])), 1)
+    dimension = PLANE if spread[1] > THIN * spread[0] else LINE
     axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
     ways = rotation_matrix(np.pi * np.arange(1 + looks_alike)[:, None] * axis)
     bend = 1.0 - (centred[:, :2] / np.maximum(np.abs(centred[:, :2]).max(axis=0), 1e-300)) ** 2
@@ -146,12 +146,11 @@ def poses_of(
     points, ideal = shape.points[ids[reached]], ideal[reached]
     if shape.dimension == LINE or len(points) < MIN_CORNERS:
         return None
-    longest, across, out = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    longest, across = np.linalg.svd(points - points.mean(0), compute_uv=False)[:2]
     if across < THIN * longest:
         return None
     focal_px = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    found = _planar(points, ideal) if out < THIN * longest else _spatial(points, ideal)
-    refined = [_refine(points, ideal, R, t) for R, t in found]
+    refined = [_refine(points, ideal, R, t) for R, t in _planar(points, ideal)]
     scored = [(_rms(points, ideal, R, t) * focal_px, R, t) for R, t in refined if np.all(points @ R[2] + t[2] > 0)]
     if not scored:
         return None
@@ -179,12 +178,6 @@ def _planar(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
         R = rotation_matrix(np.ravel(vector)) @ axes
         found.append((R, np.ravel(translation) - R @ centre))
     return [(R, t) for R, t in found if np.isfinite(R).all() and np.isfinite(t).all()]
-
-
-def _spatial(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
-    found, rotations, translations, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
-    solutions = zip(rotations, translations, strict=True) if found else ()
-    return [(rotation_matrix(np.ravel(vector)), np.ravel(translation)) for vector, translation in solutions]
 
 
 def _refine(points: Array, ideal: Array, R: Array, t: Array) -> tuple[Array, Array]:
