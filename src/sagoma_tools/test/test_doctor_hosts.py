@@ -50,7 +50,8 @@ def test_each_setting_that_keeps_machines_apart_is_named_with_a_remedy_and_no_ot
 def test_environment_variables_are_read_as_ros_reads_them():
     old = {"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.1;10.0.0.3", "ROS_DOMAIN_ID": "12"}
     assert RosSettings.of(old) == RosSettings(12, "LOCALHOST", ("10.0.0.1", "10.0.0.3"))
-    assert RosSettings.of({}) == RosSettings()
+    bounded = {"FASTRTPS_DEFAULT_PROFILES_FILE": "/opt/sagoma_ros/fastdds_memory.xml"}  # of a node that was told none
+    assert RosSettings.of({}) == RosSettings.of(bounded) == RosSettings()
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from typing import Any
 
 import psutil
 
-from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
+from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE, PROFILE_VARIABLE, RANGE_VARIABLE
 
 from .findings import Finding, about, error, graded, ok, warning
 from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, interface_to
@@ -59,6 +59,8 @@ class RosSettings:
         domain, alone = get("ROS_DOMAIN_ID", ""), get("ROS_LOCALHOST_ONLY") == "1"
         reach = "LOCALHOST" if alone else get(RANGE_VARIABLE) or "SUBNET"
         peers, profile = tuple(filter(None, get(PEERS_VARIABLE, "").split(";"))), Path(get(PROFILE_VARIABLE, "")).name
+        if profile == PROFILE.name:  # every node's own, where none is named
+            profile = ""
         return cls(int(domain) if domain.isdigit() else 0, reach, peers, profile, get("RMW_IMPLEMENTATION", ""))
 
 

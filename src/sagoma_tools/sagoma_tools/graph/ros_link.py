@@ -22,6 +22,7 @@ from rclpy.validate_namespace import validate_namespace
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
+from sagoma_ros.middleware import bound_memory
 
 from . import ANSWER_S, LOOK_S, ROUND_S
 
@@ -34,6 +35,7 @@ class RosLink:
 
     def __init__(self, name: str, *, namespace: str = "", domain_id: int | None = None) -> None:
         """``namespace`` : of the graph ("/studio"): what is looked for through :attr:`node` is looked for there."""
+        bound_memory()  # as every node does: it also is found, and finds, at once
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
