@@ -200,18 +200,13 @@ def test_a_take_is_played_and_kept_by_buttons(tmp_path):
         tab.wait_for_text("drill: its first pose, at 0.00 s")
         tab.wait_for_text("sets/s")
         tab.wait_for_value("take", "drill")
-        look(tab)
+        tab.wait_for(f"({PERSON}).fills")  # from the first pose on
+        begun = tab.run(VIEW)
+        tab.press("play")
+        assert tab.wait_for(f"({PERSON}).y > 0.8 && {VIEW}") == begun  # the view is left alone while the take plays
+        tab.press("pause")
+        tab.wait_for_text("paused at")
         keep(tab, takes)
-
-
-def look(tab: Browser) -> None:
-    """The view shows the person from the first pose on, and is left alone while the take plays."""
-    tab.wait_for(f"({PERSON}).fills")
-    begun = tab.run(VIEW)
-    tab.press("play")
-    assert tab.wait_for(f"({PERSON}).y > 0.8 && {VIEW}") == begun
-    tab.press("pause")
-    tab.wait_for_text("paused at")
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ _SPARE_BYTES = 16 << 20  # a server's heap rises and falls by so much within a f
 
 
 def bound_memory(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Bound what this process keeps; to be called before it touches ROS, and before it has threads.
+    """Bound what this process keeps, and let its nodes be found at once; to be called before it touches ROS.
 
     A profile of Fast DDS or a malloc setting that the environment names is left as it is.
     """

@@ -137,7 +137,7 @@ class TakesPanel:
         play: Callable[[str], None],
         leave: Callable[[], None] | None,
     ) -> None:
-        self._gui, self._jobs, self._takes = gui, jobs, dict[str, Take]()
+        self._gui, self._jobs, self._folder, self._takes = gui, jobs, takes, dict[str, Take]()
         self._playback: Playback | None = None
         player: dict[str, Callable[[Deliver], object]] = {
             PLAY: lambda send: self._play(play),
@@ -145,24 +145,6 @@ class TakesPanel:
         }
         if leave is not None:
             player["back to live"] = lambda send: leave()
-
-        def job(what: str, work: Callable[[Deliver], str]) -> Callable[[Deliver], object]:
-            return lambda send: jobs.request(what, partial(work, send))
-
-        def rename(send: Deliver) -> str:
-            return f"{self.chosen} is now {takes.rename(self.chosen, name.value).name}"
-
-        def cut(send: Deliver) -> str:
-            path = trim(takes, self.chosen, name.value, begin.value, self._end.value)
-            return f"made {path.name}: {begin.value:.2f} s to {self._end.value:.2f} s of {self.chosen}"
-
-        def delete(send: Deliver) -> str:
-            return f"{takes.delete(self.chosen).name} is in the bin: 'restore' brings it back"
-
-        def restore(send: Deliver) -> str:
-            deleted = takes.deleted()
-            return f"{takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
-
         with tabs.add_tab("Takes"):
             self._choice = gui.add_dropdown("take", (NO_TAKES,))
             self._about = gui.add_html("")
@@ -171,25 +153,46 @@ class TakesPanel:
             self._person = gui.add_dropdown("angles of", (FIRST_BODY_ID,), visible=False)
             self._plots = gui.add_folder("angles", visible=False)
             with gui.add_folder("for other programs"):
-                kind = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
-                files = {
-                    "export": job("exporting", lambda send: export_files(takes, jobs, self.chosen, kind.value, send)),
-                    "video": job("drawing", lambda send: draw_video(takes, jobs, self.chosen, send)),
-                }
+                self._format = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
+                files = {"export": self._job("exporting", self._export), "video": self._job("drawing", self._draw)}
                 add_buttons(gui, "files", files)
             with gui.add_folder("change"):
-                name = gui.add_text("new name", "", hint="for rename and trim")
-                begin = gui.add_number("from, s", 0.0, min=0.0, step=0.01)
+                self._name = gui.add_text("new name", "", hint="for rename and trim")
+                self._begin = gui.add_number("from, s", 0.0, min=0.0, step=0.01)
                 self._end = gui.add_number("to, s", 0.0, min=0.0, step=0.01)
-                marks = {"begin": begin, "end": self._end}
+                marks = {"begin": self._begin, "end": self._end}
                 mark = {word: lambda send, at=at: _set(at, self._position.value) for word, at in marks.items()}
                 add_buttons(gui, "slider to", mark)
-                add_buttons(gui, "take", {"rename": job("renaming", rename), "trim": job("trimming", cut)})
-                bin_ = {"delete": job("deleting", delete), "restore": job("restoring", restore)}
+                change = {"rename": self._job("renaming", self._rename), "trim": self._job("trimming", self._trim)}
+                add_buttons(gui, "take", change)
+                bin_ = {"delete": self._job("deleting", self._delete), "restore": self._job("restoring", self._restore)}
                 add_buttons(gui, "bin", bin_)
         self._position.on_update(self._jump)
         self._choice.on_update(lambda event: self._show_about())
         self._person.on_update(lambda event: self._show_curves() if event.client is not None else None)
+
+    def _job(self, what: str, work: Callable[[Deliver], str]) -> Callable[[Deliver], object]:
+        return lambda send: self._jobs.request(what, partial(work, send))
+
+    def _export(self, send: Deliver) -> str:
+        return export_files(self._folder, self._jobs, self.chosen, self._format.value, send)
+
+    def _draw(self, send: Deliver) -> str:
+        return draw_video(self._folder, self._jobs, self.chosen, send)
+
+    def _rename(self, send: Deliver) -> str:
+        return f"{self.chosen} is now {self._folder.rename(self.chosen, self._name.value).name}"
+
+    def _trim(self, send: Deliver) -> str:
+        path = trim(self._folder, self.chosen, self._name.value, self._begin.value, self._end.value)
+        return f"made {path.name}: {self._begin.value:.2f} s to {self._end.value:.2f} s of {self.chosen}"
+
+    def _delete(self, send: Deliver) -> str:
+        return f"{self._folder.delete(self.chosen).name} is in the bin: 'restore' brings it back"
+
+    def _restore(self, send: Deliver) -> str:
+        deleted = self._folder.deleted()
+        return f"{self._folder.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
 
     @property
     def chosen(self) -> str:
