@@ -32,7 +32,7 @@ from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.qos import LATCHED, SILHOUETTE_PUBLISHER
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX, message_class
+from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LATENCY_TOPIC, LOSSLESS, SILHOUETTE_SUFFIX, message_class
 from sagoma_tools.recording.reader import header_stamp_ns
 
 JOINT_STATES, HULL_SERVER = "/mocap/joint_states", "/hull_server"
@@ -133,7 +133,7 @@ class Player:
 
     def __init__(self, link: RosLink, clip: Path, pids: list[int]) -> None:
         self._servers = [psutil.Process(pid) for pid in pids]
-        self._answers, self._joints = Arrivals(link, PREDICTION_TOPIC), Arrivals(link, JOINT_STATES)
+        self._answers, self._joints = Arrivals(link, LATENCY_TOPIC), Arrivals(link, JOINT_STATES)
         self._diagnostics = DiagnosticsTable(link.node)
         rig_file, frames = pickle.loads(clip.read_bytes())
         self._channels = []  # of each camera: its two publishers, camera_info, a silhouette a frame

@@ -16,11 +16,10 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
-from sagoma_tools.graph.topics import OUTPUT_TOPICS, PREDICTION_TOPIC, message_class
+from sagoma_tools.graph.topics import LATENCY_TOPIC
 
 FRAME_SET_TOPIC, JOINT_STATES_TOPIC = "/hull/frame_set", "/mocap/joint_states"
 SETTLED_S = 5.0  # no answer comes later than this after its exposure: longer than a frame set ever waits
-PREDICTION = message_class(next(topic.msgtype for topic in OUTPUT_TOPICS if topic.name == PREDICTION_TOPIC))
 QUEUE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200)
 SECOND_NS = 1_000_000_000
 COUNTERS = (
@@ -70,7 +69,7 @@ class ExposureProbe:
         self._hz, self._lock, self._seen = hz, threading.Lock(), Sightings()
         self._subscriptions = [
             node.create_subscription(DiagnosticArray, FRAME_SET_TOPIC, self._on_frame_set, QUEUE),
-            node.create_subscription(PREDICTION, PREDICTION_TOPIC, self._on_answer, QUEUE),
+            node.create_subscription(DiagnosticArray, LATENCY_TOPIC, self._on_answer, QUEUE),
             node.create_subscription(JointState, JOINT_STATES_TOPIC, self._on_joint_states, QUEUE),
         ]
 

@@ -24,7 +24,7 @@ from rclpy.serialization import deserialize_message
 from sagoma_bringup.graph import THREE_PROCESSES, build_graph
 from sagoma_tools.graph.ros_link import RosLink, call_all, settled
 from sagoma_tools.graph.supervisor import Supervisor
-from sagoma_tools.graph.topics import OUTPUT_TOPICS, PREDICTION_TOPIC, message_class, type_of
+from sagoma_tools.graph.topics import LATENCY_TOPIC, OUTPUT_TOPICS, message_class, type_of
 from stick_figure.body import Body
 from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
@@ -47,8 +47,8 @@ class Target:
         self._changed = threading.Condition()
         self._answers = 0
         self.latest_ns = time.time_ns()
-        kind = message_class(type_of(PREDICTION_TOPIC) or "")
-        link.node.create_subscription(kind, PREDICTION_TOPIC, self._answered, 100, raw=True)
+        kind = message_class(type_of(LATENCY_TOPIC) or "")
+        link.node.create_subscription(kind, LATENCY_TOPIC, self._answered, 100, raw=True)
 
     def _answered(self, data: bytes) -> None:
         with self._changed:

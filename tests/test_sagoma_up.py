@@ -7,7 +7,7 @@ from heard import Heard
 from sensor_msgs.msg import JointState
 
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
+from sagoma_tools.graph.topics import LATENCY_TOPIC, camera_topics
 from sagoma_tools.recording.reader import bag_topics, read_messages
 
 PATIENCE_S = 120.0
@@ -26,5 +26,5 @@ def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(built_in_session, tmp_
     assert len(processes) == 6 and not any(process.is_running() for process in processes)  # the server is one
     topics = bag_topics(tmp_path / "bag")
     assert {topic.name for k in range(1, 6) for topic in camera_topics(f"cam{k:02d}")} <= set(topics)
-    assert sum(1 for _ in read_messages(tmp_path / "bag", PREDICTION_TOPIC.__eq__)) >= 10
+    assert sum(1 for _ in read_messages(tmp_path / "bag", LATENCY_TOPIC.__eq__)) >= 10
     assert (tmp_path / "bag" / "rig.yaml").read_text() == (built_in_session / "rig.yaml").read_text()

@@ -9,7 +9,7 @@ from capture_rig.errors import InputError
 from sagoma_tools.evaluation.live_inputs import StudioProcess
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_studio
 from sagoma_tools.evaluation.track import clock_of_bag
-from sagoma_tools.graph.topics import PREDICTION_TOPIC
+from sagoma_tools.graph.topics import LATENCY_TOPIC
 from sagoma_tools.recording.reader import read_messages
 
 CAMERA_FPS, SPEED, BACKGROUND_FRAMES = 10.0, 0.5, 10
@@ -45,7 +45,7 @@ def test_the_body_seen_by_simulated_cameras_follows_the_truth(live):
 
 def test_the_bag_knows_when_the_session_was_played(live):
     assert clock_of_bag(live.bag, live.session) == live.clock
-    stamps = [message.stamp_ns for message in read_messages(live.bag, PREDICTION_TOPIC.__eq__)]
+    stamps = [message.stamp_ns for message in read_messages(live.bag, LATENCY_TOPIC.__eq__)]
     assert any(stamp in live.clock for stamp in stamps) and min(stamps) < live.clock.epoch_ns
 
 

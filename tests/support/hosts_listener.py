@@ -17,13 +17,13 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import read_reference_points
 from sagoma_ros.qos import RESULT
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import DIAGNOSTICS_TOPIC, LOSSLESS, PREDICTION_TOPIC, camera_topics
+from sagoma_tools.graph.topics import DIAGNOSTICS_TOPIC, LATENCY_TOPIC, LOSSLESS, camera_topics
 
 LOOK_S = 0.05
 POINTS_TOPIC = "/mocap/reference_points"
@@ -41,7 +41,7 @@ def on_frame_set(message: DiagnosticArray) -> None:
     tell(stamp_ns=to_ns(message.header.stamp), missing=[name for name in values["missing"].split(",") if name], **times)
 
 
-def on_answer(message: MultiDOFJointState) -> None:
+def on_answer(message: DiagnosticArray) -> None:
     """Print the filter's answer to an exposure."""
     stamp_ns = to_ns(message.header.stamp)
     tell(stamp_ns=stamp_ns, age_ms=1e-6 * (time.time_ns() - stamp_ns))
@@ -66,7 +66,7 @@ def main() -> None:
     known: list[str] = []
     with RosLink("hosts_listener") as link:
         link.node.create_subscription(DiagnosticArray, "/hull/frame_set", on_frame_set, LOSSLESS)
-        link.node.create_subscription(MultiDOFJointState, PREDICTION_TOPIC, on_answer, LOSSLESS)
+        link.node.create_subscription(DiagnosticArray, LATENCY_TOPIC, on_answer, LOSSLESS)
         link.node.create_subscription(PointCloud2, POINTS_TOPIC, on_points, LOSSLESS)
         link.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, on_diagnostics, RESULT)
         while not threading.Event().wait(LOOK_S):

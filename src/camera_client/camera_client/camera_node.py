@@ -18,7 +18,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
@@ -31,7 +31,7 @@ from sagoma_ros import mask_png
 from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.images import read_support
 from sagoma_ros.inputs import Worker
-from sagoma_ros.messages import HOST, THINNING_TOPIC, read_thinning, to_ns
+from sagoma_ros.messages import HOST, LATENCY_TOPIC, THINNING_TOPIC, read_thinning, to_ns
 from sagoma_ros.middleware import release_free_memory
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.process import run_node
@@ -53,7 +53,6 @@ T = TypeVar("T")
 TRAINING_GRACE_S = 10.0  # a training goes on when the camera comes back sooner
 SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
-PACE_TOPIC = "ekf/prediction"  # its stamps acknowledge frames at rate 0
 CONSUMER_WAIT_S, CAMERAS_WAIT_S = 5.0, 300.0  # footage waits for somebody who listens; for cameras that are started yet
 SETTLE_S = 4 * POLL_S  # from the first match until both ends of a new connection know each other
 PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
@@ -115,7 +114,7 @@ class CameraNode(SagomaNode):
         if settings.source != "footage" or settings.footage.rate > 0:
             self._subscribe(DiagnosticArray, graph_topic(self, THINNING_TOPIC), self._on_thinning, LATCHED)
         else:
-            self._subscribe(MultiDOFJointState, graph_topic(self, PACE_TOPIC), self._on_acknowledgement, RESULT)
+            self._subscribe(DiagnosticArray, graph_topic(self, LATENCY_TOPIC), self._on_acknowledgement, RESULT)
         info_file = settings.camera_info_file
         if info_file and not Path(info_file).exists() and settings.rig_file:
             self.get_logger().warning(f"{info_file} does not exist yet: the rig's intrinsics are in use")
@@ -211,7 +210,7 @@ class CameraNode(SagomaNode):
 
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
-        acknowledged = not paced or self.count_publishers(graph_topic(self, PACE_TOPIC)) > 0
+        acknowledged = not paced or self.count_publishers(graph_topic(self, LATENCY_TOPIC)) > 0
         assert self._footage_clock is not None
         if not self._topics.has_listener or not acknowledged or self._footage_clock.cameras < self._awaited:
             return False
@@ -268,7 +267,7 @@ class CameraNode(SagomaNode):
         self.health.set("last_error", text)
         self.get_logger().error(text, throttle_duration_sec=LOG_EVERY_S)
 
-    def _on_acknowledgement(self, message: MultiDOFJointState) -> None:
+    def _on_acknowledgement(self, message: DiagnosticArray) -> None:
         if self.source is not None:
             self.source.acknowledge(to_ns(message.header.stamp))
 

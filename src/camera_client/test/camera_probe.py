@@ -2,13 +2,15 @@
 
 import os
 
+from diagnostic_msgs.msg import DiagnosticArray
 from node_probe import NodeProbe
-from sensor_msgs.msg import CameraInfo, CompressedImage, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, CompressedImage
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
-from camera_client.camera_node import PACE_TOPIC, CameraNode
-from sagoma_ros.messages import to_ns, to_stamp
+from camera_client.camera_node import CameraNode
+from mocap_packets.people import AnsweredSet
+from sagoma_ros.messages import LATENCY_TOPIC, latency_message, to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 
 DEADLINE_S = 20.0  # only ever reached by a failing test
@@ -23,7 +25,7 @@ class CameraProbe(NodeProbe):
     def __init__(self, context, parameters):
         super().__init__(context, CameraNode, parameters, NAMESPACE)
         self.acknowledging = True
-        self.predictions = self.peer.create_publisher(MultiDOFJointState, f"/{PACE_TOPIC}", RESULT)
+        self.answers = self.peer.create_publisher(DiagnosticArray, f"/{LATENCY_TOPIC}", RESULT)
         self.listen(CompressedImage, "silhouette/compressed", SILHOUETTE_RELIABLE_SUBSCRIBER)
         self.listen(CameraInfo, "camera_info", SILHOUETTE_RELIABLE_SUBSCRIBER)
         self.peer.create_subscription(
@@ -35,9 +37,7 @@ class CameraProbe(NodeProbe):
             self.acknowledge(to_ns(message.header.stamp))
 
     def acknowledge(self, stamp_ns):
-        message = MultiDOFJointState()
-        message.header.stamp = to_stamp(stamp_ns)
-        self.predictions.publish(message)
+        self.answers.publish(latency_message(AnsweredSet(stamp_ns)))
 
     @property
     def masks(self):

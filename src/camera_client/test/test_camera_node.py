@@ -98,7 +98,7 @@ def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, sess
     camera = bench(window=2, **session.parameters)
     camera.acknowledging = False
     camera.start()
-    camera.until(lambda: len(camera.masks) == 2 and camera.predictions.get_subscription_count() == 1)
+    camera.until(lambda: len(camera.masks) == 2 and camera.answers.get_subscription_count() == 1)
     for k in range(5):
         camera.acknowledge(footage_stamp_ns(EPOCH_NS, k, scene.fps))
         camera.until(lambda wanted=k + 3: len(camera.masks) == wanted)
@@ -276,7 +276,7 @@ def test_what_the_others_do_not_see_becomes_background(bench, session, scene):
     canvas = scene.camera().undistorted_view().camera
     camera.acknowledging = False
     camera.start()
-    camera.until(lambda: reports.get_subscription_count() == 1 == camera.predictions.get_subscription_count())
+    camera.until(lambda: reports.get_subscription_count() == 1 == camera.answers.get_subscription_count())
     for count in range(1, 31):
         camera.until(lambda count=count: len(camera.masks) == count)
         stamp_ns = camera.stamps_ns()[-1]

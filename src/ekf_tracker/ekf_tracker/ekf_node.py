@@ -8,19 +8,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON, NOTHING_SEEN
-from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
+from mocap_packets.people import AnsweredSet, FittedPeople, PeoplePoints, Predictions
 from mocap_packets.state import BodyState, Tracking
+from mocap_packets.table import NO_AGES
 from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.inputs import InputWatchdog, StampOrder
-from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
-from sagoma_ros.messages import LATENCY_TOPIC, latency_message
+from sagoma_ros.intra_process import Delivery, PacketPublisher, PacketSubscription
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import FITTED_PEOPLE, PREDICTIONS
+from sagoma_ros.packets import FITTED_PEOPLE, LATENCY, PREDICTIONS
 from sagoma_ros.process import run_node
 
 from .filter import PeopleFilter, warm_up
@@ -30,7 +29,7 @@ from .settings import LINK_FRAMES, NO_FRAMES, EkfNodeSettings
 
 
 class EkfNode(SagomaNode):
-    """icp/people to mocap/*; ekf/prediction is published last, once for every set."""
+    """icp/people to mocap/* and ekf/prediction; mocap/latency is published last, once for every set."""
 
     Settings = EkfNodeSettings
 
@@ -56,7 +55,7 @@ class EkfNode(SagomaNode):
         if settings.publish_tf != NO_FRAMES:
             self._bodies.append(BodyFrames(self, settings.publish_tf == LINK_FRAMES, settings.frame_id))
         self._prediction = PacketPublisher(self, PREDICTIONS)
-        self._latency = LazyPublisher(self, DiagnosticArray, LATENCY_TOPIC)
+        self._latency = PacketPublisher(self, LATENCY)
         self._closing += [self._prediction.close, self._latency.close]
         service = self.create_service(Trigger, "~/reset", self._on_reset)
         self._closing.append(partial(self.destroy_service, service))
@@ -109,15 +108,14 @@ class EkfNode(SagomaNode):
         self._publish(answers, stamp_ns)
         predictions = Predictions(stamp_ns, {person: answer.prediction for person, answer in answers.items()})
         self._prediction.publish(predictions, self.settings.frame_id)
-        if people.ages.hull and fitted_ns:
-            ages = replace(people.ages, fitted=fitted_ns - stamp_ns, published=self._now_ns() - stamp_ns)
-            self._latency.publish(latency_message, stamp_ns, ages)
+        ages = replace(people.ages, fitted=fitted_ns - stamp_ns, published=self._now_ns() - stamp_ns)
+        self._latency.publish(AnsweredSet(stamp_ns, ages if people.ages.hull else NO_AGES), self.settings.frame_id)
         self.health.status(max(LEVELS[answer.tracking] for answer in answers.values()), summary_of(answers))
         self.health.tick(stamp_ns)
 
     def _now_ns(self) -> int:
-        """Return the time by the clock of stamps; 0 while nobody asks for latencies."""
-        return self.get_clock().now().nanoseconds if self._latency.is_wanted else 0
+        """Return the time by the clock of stamps."""
+        return self.get_clock().now().nanoseconds
 
     def _publish(self, answers: dict[int, Answer], stamp_ns: int) -> None:
         bodies = self._filters.bodies

@@ -1,6 +1,6 @@
 """An EkfNode under test, whose peer plays the ICP tracker."""
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from ekf_person import ALL, isotropic
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_probe import NodeProbe
@@ -12,7 +12,7 @@ from ekf_tracker.ekf_node import EkfNode
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_packets.table import NO_AGES
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import LATENCY_TOPIC, to_ns
 from sagoma_ros.packets import FITTED_PEOPLE, tables_message
 from sagoma_ros.qos import RESULT
 
@@ -25,6 +25,7 @@ OUTPUTS = {
     "mocap/skeleton": MarkerArray,
     "mocap/state": DiagnosticStatus,
     "ekf/prediction": MultiDOFJointState,
+    LATENCY_TOPIC: DiagnosticArray,
 }
 
 
@@ -65,7 +66,7 @@ class EkfProbe(NodeProbe):
         return self.arrived[begin:]
 
     def answers(self, stamp_ns, begin=0):
-        return [m for t, m in self.arrived[begin:] if t == "ekf/prediction" and to_ns(m.header.stamp) == stamp_ns]
+        return [m for t, m in self.arrived[begin:] if t == LATENCY_TOPIC and to_ns(m.header.stamp) == stamp_ns]
 
     def latest(self, topic):
         return next(m for t, m in reversed(self.arrived) if t == topic)

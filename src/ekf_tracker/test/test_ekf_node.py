@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from ekf_person import ALL, NONE, isotropic, stamp
 from ekf_probe import OUTPUTS
 from node_probe import SUCCESS
@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
 from ekf_tracker.filter import ArticulatedEkf
-from mocap_packets.table import AGE_POINTS, SetAges
+from mocap_packets.table import AGE_POINTS, NO_AGES, SetAges
 from sagoma_ros.messages import LATENCY_TOPIC, to_ns
 from sagoma_ros.packets import read_reference_points
 from sagoma_ros.poses import read_motions, read_predictions
@@ -24,14 +24,14 @@ from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, TANGENT_NAMES
 
 
-def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(bench, body, person):
+def test_every_set_gets_its_messages_with_its_stamp_and_the_latency_last(bench, body, person):
     b = bench(skeleton_rate_hz=0.0).start()
     reference = ArticulatedEkf(body)
     for k in range(5):
         points = person.points(k / 60)
         got = b.fit(stamp(k), points)
         expected = reference.step(stamp(k), points, isotropic(0.01), ALL)
-        assert [topic for topic, _ in got][-1] == "ekf/prediction"
+        assert [topic for topic, _ in got][-1] == LATENCY_TOPIC
         assert {topic for topic, _ in got} == set(OUTPUTS)
         stamps = {to_ns(m.header.stamp) for _, m in got if hasattr(m, "header")}
         assert stamps == {stamp(k)}
@@ -97,7 +97,7 @@ def test_skeleton_is_limited_to_its_rate_by_stamps(bench, person):
 def test_sets_without_a_body_or_before_the_first_visible_torso_are_answered_empty(bench, person, missing):
     b = (bench(body=None) if missing == "body" else bench()).start()
     got = b.fit(stamp(0), person.points(0.0), visible=ALL if missing == "body" else NONE)
-    assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
+    assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction", LATENCY_TOPIC]
     assert got[0][1].message == "acquiring" and f"waiting for the {missing}" in got[0][1].values[0].value
     assert prediction_in(got[1][1]).pose is None
 
@@ -119,8 +119,8 @@ def test_reset_service_lets_the_next_set_start_anew(bench, person):
     b = bench().start()
     b.fit(stamp(10), person.points(0.0))
     assert b.ask(Trigger, "/ekf_tracker/reset").success
-    got = b.fit(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
-    assert got[-1][1].joint_names
+    b.fit(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
+    assert b.latest("ekf/prediction").joint_names
     points, *_ = read_reference_points(b.latest("mocap/reference_points"), "test")
     assert np.linalg.norm(points - person.points(5.0), axis=1).max() < 5e-3
 
@@ -130,7 +130,7 @@ def test_lost_body_is_not_published_but_every_set_is_still_answered(bench, perso
     b.fit(stamp(0), person.points(0.0))
     for k in range(1, 8):
         got = b.fit(stamp(k), np.zeros((15, 3)), visible=NONE)
-    assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
+    assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction", LATENCY_TOPIC]
     assert got[0][1].message == "lost" and got[0][1].level == DiagnosticStatus.ERROR
 
 
@@ -171,16 +171,14 @@ def test_humans_topics_carry_the_person_under_its_id(bench, person):
     assert 'name="body_anna"' in b.latest("/humans/bodies/anna/urdf").data
 
 
-def test_latency_of_every_set_is_published_while_somebody_listens(bench, person):
+def test_latency_is_published_last_of_every_set_with_what_is_known_of_its_ages(bench, person):
     bench = bench().start()
-    bench.listen(DiagnosticArray, LATENCY_TOPIC)
-    bench.until(lambda: bench.node.count_subscribers(LATENCY_TOPIC))
-    bench.until(lambda: bench.node._latency.is_wanted)
-    for k in range(3):
-        bench.fit(stamp(k), person.points(k / 60), ages=SetAges(9_000_000, 15_500_000))
-    bench.until(lambda: sum(topic == LATENCY_TOPIC for topic, _ in bench.arrived) == 3)
-    heard = [message for topic, message in bench.arrived if topic == LATENCY_TOPIC]
-    assert [to_ns(message.header.stamp) for message in heard] == [stamp(k) for k in range(3)]
+    for k, ages in enumerate([SetAges(9_000_000, 15_500_000)] * 3 + [NO_AGES]):
+        bench.fit(stamp(k), person.points(k / 60), ages=ages)
+    bench.until(lambda: sum(topic == LATENCY_TOPIC for topic, _ in bench.arrived) == 4)
+    *heard, unknown = [message for topic, message in bench.arrived if topic == LATENCY_TOPIC]
+    assert [to_ns(message.header.stamp) for message in (*heard, unknown)] == [stamp(k) for k in range(4)]
+    assert unknown.status[0].values == []
     for message in heard:
         ages = {pair.key: float(pair.value) for pair in message.status[0].values}
         assert list(ages) == [f"{point}_ms" for point in AGE_POINTS]

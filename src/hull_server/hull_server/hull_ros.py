@@ -19,11 +19,11 @@ from std_srvs.srv import Trigger
 
 from capture_rig import InputError, Rig
 from capture_rig.camera import CameraModel
-from mocap_packets.people import Predictions
+from mocap_packets.people import AnsweredSet
 from sagoma_ros.intra_process import Delivery, PacketSubscription
 from sagoma_ros.messages import HOST, THINNING_TOPIC, key_values, thinning_message, to_stamp
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import PREDICTIONS
+from sagoma_ros.packets import LATENCY
 from sagoma_ros.poses import frame
 from sagoma_ros.qos import LATCHED
 
@@ -126,7 +126,7 @@ class OverloadControl:
     def __init__(self, node: SagomaNode, control: ThinningControl) -> None:
         self._node, self._control = node, control
         self._publisher = node.create_publisher(DiagnosticArray, THINNING_TOPIC, LATCHED)
-        self._answers = PacketSubscription(node, PREDICTIONS, self._on_answer)
+        self._answers = PacketSubscription(node, LATENCY, self._on_answer)
         self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered_ns, self._logged = 0, ""
 
@@ -143,7 +143,7 @@ class OverloadControl:
         if now_ns - self._answered_ns > NO_TRACKER_NS:
             self._control.add_answer(stamp_ns, now_ns)
 
-    def _on_answer(self, answer: Delivery[Predictions]) -> None:
+    def _on_answer(self, answer: Delivery[AnsweredSet]) -> None:
         self._answered_ns = monotonic_ns()
         self._control.add_answer(answer.stamp_ns, self._answered_ns)
 

@@ -120,6 +120,14 @@ class Predictions:
     of: Mapping[int, Prediction]
 
 
+@dataclass(frozen=True)
+class AnsweredSet:
+    """A frame set that the filter has answered, and how old it was at each stage; NO_AGES where that is not known."""
+
+    stamp_ns: int
+    ages: SetAges = NO_AGES
+
+
 def format_bodies(bodies: Mapping[int, Body], source: str = "") -> str:
     """Return the bodies of several persons as YAML: the number of each person, and under it what a body file holds."""
     texts = {person: format_body(body, source) for person, body in sorted(bodies.items())}

@@ -20,7 +20,8 @@ from rclpy.serialization import deserialize_message
 
 from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
-from mocap_packets.table import SetAges
+from mocap_packets.people import AnsweredSet
+from mocap_packets.table import AGE_POINTS, SetAges
 from mocap_packets.thinning import FrameDecimation
 
 HOST = socket.gethostname()
@@ -52,17 +53,29 @@ def values_of(status: DiagnosticStatus) -> dict[str, str]:
 
 
 LATENCY_TOPIC = "mocap/latency"
-"""Of where the time of a frame set went, from exposure to joint state."""
+"""Acknowledges a frame set: last of its messages, one to each set, with the time that each stage took."""
 
 
-def latency_message(stamp_ns: int, ages: SetAges) -> DiagnosticArray:
+def latency_message(answered: AnsweredSet) -> DiagnosticArray:
     """Return a set's age at each point, in milliseconds since its exposure, under its capture stamp."""
-    values = key_values({f"{point}_ms": f"{age_ns / 1e6:.3f}" for point, age_ns in asdict(ages).items()})
+    ages_ms = {f"{point}_ms": f"{age_ns / 1e6:.3f}" for point, age_ns in asdict(answered.ages).items()}
+    values = key_values(ages_ms if answered.ages.hull else {})
     message = DiagnosticArray(
         status=[DiagnosticStatus(level=DiagnosticStatus.OK, name="mocap: latency", hardware_id=HOST, values=values)]
     )
-    message.header.stamp = to_stamp(stamp_ns)
+    message.header.stamp = to_stamp(answered.stamp_ns)
     return message
+
+
+def read_latency(message: DiagnosticArray, where: str) -> AnsweredSet:
+    """Return the inverse of :func:`latency_message`, to a microsecond. Raises InputError for anything else."""
+    values = values_of(message.status[0]) if message.status else {}
+    try:
+        ages = [round(1e6 * float(values[f"{point}_ms"])) for point in AGE_POINTS] if values else []
+    except (KeyError, ValueError, OverflowError) as error:
+        what, remedy = f"is no latency of a frame set ({error!r})", "Run the same version of all nodes."
+        raise InputError(what, where=where, remedy=remedy) from None
+    return AnsweredSet(to_ns(message.header.stamp), SetAges(*ages))
 
 
 # the rule of thinning -------------------------------------------------------------------------------------------------

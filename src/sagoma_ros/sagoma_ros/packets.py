@@ -12,17 +12,18 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.hull import HullProducts
-from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
+from mocap_packets.people import AnsweredSet, FittedPeople, PeoplePoints, Predictions
 from mocap_packets.table import fill, layout
 
 from .intra_process import PacketTopic
-from .messages import NS_PER_S, to_ns, to_stamp
+from .messages import LATENCY_TOPIC, NS_PER_S, latency_message, read_latency, to_ns, to_stamp
 from .poses import predictions_message, read_predictions
 
 MOST_SECONDS = 2**31  # of a stamp
@@ -117,6 +118,13 @@ PREDICTIONS = PacketTopic[Predictions](
     predictions_message,
     lambda message: (to_ns(message.header.stamp), message.header.frame_id),
     read_predictions,
+)
+LATENCY = PacketTopic[AnsweredSet](
+    LATENCY_TOPIC,
+    DiagnosticArray,
+    lambda answered, frame_id: latency_message(answered),
+    lambda message: (to_ns(message.header.stamp), message.header.frame_id),
+    read_latency,
 )
 
 # --- for whoever listens: tables of float64 fields as PointCloud2 in single precision, and back

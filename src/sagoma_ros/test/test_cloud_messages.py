@@ -17,9 +17,10 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
-from mocap_packets.people import Predictions
+from mocap_packets.people import AnsweredSet, Predictions
 from mocap_packets.state import Prediction
-from sagoma_ros.messages import to_ns
+from mocap_packets.table import SetAges
+from sagoma_ros.messages import latency_message, read_latency, to_ns
 from sagoma_ros.packets import from_cloud, packet_cloud, read_packet, read_reference_points, to_cloud
 from sagoma_ros.poses import predictions_message, read_predictions
 from stick_figure.kinematics import stick_frames
@@ -156,7 +157,7 @@ def test_cloud_of_a_former_version_is_of_one_body_and_nothing_in_it_is_doubtful(
     assert (read[name] == 0.0).all() and np.array_equal(read["z"], points["z"])
 
 
-# --- joint states and predictions -------------------------------------------------------------------------------------
+# --- joint states, predictions, latencies ----------------------------------------------------------------------------
 
 PREDICTION_TOPIC = "ekf/prediction"
 
@@ -243,3 +244,13 @@ def test_prediction_that_cannot_be_read_is_refused(changes, says: str) -> None:
     with pytest.raises(InputError, match=f"^{PREDICTION_TOPIC}: .*{says}") as caught:
         read_predictions(message, PREDICTION_TOPIC)
     assert caught.value.remedy
+
+
+def test_latency_comes_back_to_a_microsecond_or_is_unknown() -> None:
+    answered = AnsweredSet(STAMP, SetAges(9_000_000, 15_501_000, 17_000_000, 18_250_000))
+    for each in (answered, AnsweredSet(STAMP)):
+        assert read_latency(latency_message(each), TOPIC) == each
+    message = latency_message(answered)
+    message.status[0].values.pop()
+    with pytest.raises(InputError, match=f"^{TOPIC}: is no latency of a frame set"):
+        read_latency(message, TOPIC)

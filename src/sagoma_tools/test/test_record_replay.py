@@ -8,16 +8,19 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CompressedImage, MultiDOFJointState
+from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import String
 from tools_waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
+from mocap_packets.people import AnsweredSet
+from sagoma_ros.messages import latency_message, to_ns
 from sagoma_ros.qos import LATCHED
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import LOSSLESS, camera_topics
+from sagoma_tools.graph.topics import LATENCY_TOPIC, LOSSLESS, camera_topics
 from sagoma_tools.recording.reader import BagMessage, read_messages, read_provenance
 from sagoma_tools.recording.recorder import Recorder
 from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
@@ -51,7 +54,7 @@ class FakeGraph:
 
     def __init__(self, link, deaf_to=()):
         self.heard, self.answered_after, self._deaf_to = [], [], deaf_to
-        self.publisher = link.node.create_publisher(MultiDOFJointState, "/ekf/prediction", LOSSLESS)
+        self.publisher = link.node.create_publisher(DiagnosticArray, LATENCY_TOPIC, LOSSLESS)
         self._subscriptions = [
             link.node.create_subscription(CompressedImage, silhouette_topic(c), self.take, LOSSLESS) for c in CAMERAS
         ]
@@ -62,9 +65,7 @@ class FakeGraph:
         self.heard.append(k)
         if self.heard.count(k) == len(CAMERAS) and k not in self._deaf_to:
             self.answered_after.append(len(self.heard))
-            answer = MultiDOFJointState()
-            answer.header.stamp = stamp
-            self.publisher.publish(answer)
+            self.publisher.publish(latency_message(AnsweredSet(to_ns(stamp))))
 
 
 def noting(waited, stop_after=math.inf):
@@ -143,7 +144,7 @@ def test_lockstep_sends_no_set_before_the_one_before_is_answered_or_given_up(lin
 def test_lockstep_is_an_error_when_the_ekf_stays_silent_from_the_start(link, far_link):
     FakeGraph(far_link, deaf_to=range(5))
     answers = Answers(link.node)
-    with pytest.raises(InputError, match="/ekf/prediction: no answer to the first frame set"):
+    with pytest.raises(InputError, match="/mocap/latency: no answer to the first frame set"):
         play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=0.5)
 
 

@@ -26,7 +26,7 @@ from ..graph.background_training import learn_backgrounds
 from ..graph.processes import Child, busy_machine, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
-from ..graph.topics import PREDICTION_TOPIC
+from ..graph.topics import LATENCY_TOPIC
 from ..recording.recorder import GraphRecorder
 from .track import SessionClock, frame_count
 
@@ -117,9 +117,9 @@ class FootageInput:
         """
         expected, seen = frame_count(self.session), -1
         while seen < expected and not cancel.is_set():
-            if not recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, PATIENCE_S):
+            if not recorder.wait_for_count(LATENCY_TOPIC, seen + 1, PATIENCE_S):
                 break
-            seen = recorder.counts.get(PREDICTION_TOPIC, 0)
+            seen = recorder.counts.get(LATENCY_TOPIC, 0)
         return None
 
     def __enter__(self) -> Self:
@@ -183,7 +183,7 @@ class StudioInput(FootageInput):
         last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.0 / self._fps) * 1e9)  # the last exposure
         counts, heard_s = recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
         while time.monotonic() < heard_s + PATIENCE_S and not cancel.is_set():
-            if recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
+            if recorder.wait_for_stamp(LATENCY_TOPIC, last_ns, LOOK_S):
                 break
             if counts != (counts := recorder.counts):
                 heard_s = max(heard_s, time.monotonic())

@@ -22,7 +22,7 @@ from sagoma_ros.messages import values_of
 from ..console import doing
 from ..graph.processes import Usage
 from ..graph.supervisor import Supervisor
-from ..graph.topics import PREDICTION_TOPIC
+from ..graph.topics import LATENCY_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from .live_inputs import FootageInput, StudioInput
@@ -33,7 +33,6 @@ FRAME_SET_TOPIC = "/hull/frame_set"
 LEAST_HZ = 25.0  # frame sets a second that the graph is to hold of simulated cameras, or they go slower
 SLOWEST = 1 / 32
 KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture, and have all cameras if simulated
-LATENCY_TOPIC = "/mocap/latency"
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +153,11 @@ def _read_back(
     """Read the bag's figures."""
     session = live_input.session
     clock, stamps = clock_of_bag(bag, session), silhouette_stamps(bag, session)
-    answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in clock]
+    answers = [m for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
     sets = [_values(m) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
-    ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
-    points = [f"{point}_ms" for point in AGE_POINTS] if ages and live_input.in_real_time else []
+    points = [f"{point}_ms" for point in AGE_POINTS] if answers and live_input.in_real_time else []
+    ages = [_values(answer) for answer in answers] if points else []
+    span_s = 1e-9 * (answers[-1].log_ns - answers[0].log_ns) if answers else 0.0
     tracks = tracks_from_bag(bag, clock.frame_of, may_be_empty=True)
     return LiveRun(
         session=session,
@@ -166,7 +166,7 @@ def _read_back(
         seen=np.unique([clock.frame_of(stamp) for sent in stamps.values() for stamp in sent if stamp in clock]),
         sets=max(sum(stamp in clock for stamp in sent) for sent in stamps.values()),
         answered=len(answers),
-        sets_per_s=(len(answers) - 1) / max(1e-9 * (answers[-1] - answers[0]), 1e-9) if answers else 0.0,
+        sets_per_s=(len(answers) - 1) / max(span_s, 1e-9) if answers else 0.0,
         incomplete=sum(bool(values.get("missing")) for values in sets),
         usage=usage,
         diagnostics=diagnostics,

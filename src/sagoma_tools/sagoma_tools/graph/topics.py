@@ -16,7 +16,7 @@ from sagoma_ros.qos import LATCHED
 
 SILHOUETTE_SUFFIX = "/silhouette/compressed"
 CAMERA_INFO_SUFFIX = "/camera_info"
-PREDICTION_TOPIC = "/ekf/prediction"
+LATENCY_TOPIC = "/mocap/latency"  # last of the messages of a frame set, one to each set: its answer
 DIAGNOSTICS_TOPIC = "/diagnostics"
 CLOCK_TOPIC = "/clock"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -78,8 +78,8 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/icp/bodies", "std_msgs/msg/String", latched=True),
     *(Topic(f"/mocap/{what}", msgtype, latched=what in KEPT) for what, msgtype in OF_A_PERSON.items()),
     Topic("/mocap/point_names", "std_msgs/msg/String", latched=True),
-    Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
-    Topic(PREDICTION_TOPIC, "sensor_msgs/msg/MultiDOFJointState"),
+    Topic(LATENCY_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
+    Topic("/ekf/prediction", "sensor_msgs/msg/MultiDOFJointState"),
 )
 LATCHED_TOPICS = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
 DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False)

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
@@ -32,8 +32,8 @@ from ..graph.ros_link import RosLink, settled
 from ..graph.supervisor import Supervisor
 from ..graph.topics import (
     CLOCK_TOPIC,
+    LATENCY_TOPIC,
     LOSSLESS,
-    PREDICTION_TOPIC,
     SILHOUETTE_SUFFIX,
     camera_topics,
     cameras_in,
@@ -170,13 +170,13 @@ class LockstepReport:
 
 
 class Answers:
-    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp."""
+    """The EKF's answers: it publishes one latency for every frame set, last of all, stamped with the set's stamp."""
 
     def __init__(self, node: Node) -> None:
         self._arrived = threading.Condition()
         self._stamps: set[int] = set()
         self._subscription = node.create_subscription(
-            MultiDOFJointState, PREDICTION_TOPIC, self._on_answer, LOSSLESS, raw=True
+            DiagnosticArray, LATENCY_TOPIC, self._on_answer, LOSSLESS, raw=True
         )
 
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
@@ -219,7 +219,7 @@ def play_lockstep(
             if report.sets == 1:
                 what = f"no answer to the first frame set within {timeout_s:g} s"
                 remedy = "All of hull_server, icp_tracker and ekf_tracker must be active."
-                raise InputError(what, where=PREDICTION_TOPIC, remedy=remedy)
+                raise InputError(what, where=LATENCY_TOPIC, remedy=remedy)
     return report
 
 
@@ -233,10 +233,11 @@ PER_SET = (
     "/hull/voxels",
     "/icp/reference_points",
     "/icp/fit",
-    PREDICTION_TOPIC,
+    "/ekf/prediction",
+    LATENCY_TOPIC,
 )
 # topic -> the node that must listen to it before the first set is sent, where each has a process of its own
-LISTENERS = {"/hull/products": "icp_tracker", "/icp/people": "ekf_tracker", PREDICTION_TOPIC: "icp_tracker"}
+LISTENERS = {"/hull/products": "icp_tracker", "/icp/people": "ekf_tracker", "/ekf/prediction": "icp_tracker"}
 
 
 def replay_through_graph(
