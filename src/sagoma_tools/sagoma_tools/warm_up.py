@@ -1,7 +1,7 @@
 """Compiles into the cache every numerical kernel of a live capture by what its nodes do before their first frame.
 
 Run by the set-up: without it the first start of each node would take half a minute. What else has kernels (calibration,
-the thesis's method, exports) compiles them when it is first used. Each part imports what it compiles alone.
+the thesis's method, exports, simulated cameras) compiles them when it is first used.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ import gc
 import multiprocessing
 import os
 import sys
-import tempfile
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,20 +19,16 @@ import numpy as np
 if TYPE_CHECKING:
     from mocap_pipeline.configuration import Configuration
 
-FPS, S = 10.0, 0.8
-
 
 def main() -> int:
-    """Compile the parts in as many processes as there are cores: the longest first, what shares its kernels last."""
+    """Compile the parts in as many processes as there are cores, the longest first."""
     os.environ["NUMBA_OPT"] = "2"  # the kernels are no slower than with 3, and compile in four fifths of the time
+    import_module("capture_rig.kernel")  # numba: once, for all processes
     parts = (compile_fit, compile_hull, compile_cameras, compile_filter)
     processes = min(len(parts), len(os.sched_getaffinity(0)))
     # without the collector, which looks through all that the compiler holds, again and again: a fifth of the time
-    with (
-        tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder,
-        ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), gc.disable) as pool,
-    ):
-        for part in [*map(pool.submit, parts), pool.submit(write_short_session, Path(folder) / "session")]:
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), gc.disable) as pool:
+        for part in [pool.submit(part) for part in parts]:
             part.result()
     return 0
 
@@ -79,15 +74,6 @@ def compile_cameras() -> None:
 
     warm_up_silhouettes(colour=False)
     mask_png.warm_up()
-
-
-def write_short_session(folder: Path) -> None:
-    """Compile the simulated cameras, by a tiny session of theirs."""
-    from stick_figure.body import Body
-    from virtual_studio.recording.session import write_session
-    from virtual_studio.rig import ring
-
-    write_session(folder, ring(4, True), Body.from_stature(1.75), "t_pose_only", FPS, S)
 
 
 if __name__ == "__main__":
