@@ -16,7 +16,7 @@ from scipy.special import chdtri, ndtr
 
 from capture_rig.stamps import NS, StampThrottle
 
-from .background.adaptive import FixedBackground
+from .background.fixed import FixedBackground
 from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
 from .background.verdict import PERSON, describe_regions, find_regions
 from .frame_source import LASTING_S, REPORT_PERIOD_S

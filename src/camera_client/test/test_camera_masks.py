@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from camera_client.background.adaptive import FixedBackground
+from camera_client.background.fixed import FixedBackground
+from camera_client.background.kernels import BLOCK_PX
 from camera_client.background.verdict import HAND
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import (
-    BLOCK_PX,
     Box,
     BoxUndistorter,
     ForegroundLocator,

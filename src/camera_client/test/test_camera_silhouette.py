@@ -13,7 +13,7 @@ from camera_client.background import kernels as kernels_of_background
 from camera_client.background.model import read_background
 from camera_client.background.noise import assumed_noise, learned_noise
 from camera_client.frame_processor import warm_up_silhouettes
-from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes import evidence
 from camera_client.silhouettes import shadows as shadow_tests
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
@@ -241,7 +241,7 @@ def test_rendered_session_is_segmented_with_high_recall(shared_data, session, le
     scores = []
     for camera in load_rig(folder / "rig.yaml").cameras[1:4:2]:
         shape = (camera.height, camera.width)
-        background = read_background(folder / f"{camera.name}_background.mp4", shape, BackgroundSettings())
+        background = read_background(folder / f"{camera.name}_background.mp4", shape)
         pipeline = SilhouettePipeline(camera, background)
         videos = [open_footage(folder / f"{camera.name}{tail}.mp4", "mono") for tail in ("", "_mask")]
         for k in range(76):
@@ -262,7 +262,7 @@ def test_real_footage_keeps_every_joint_of_the_reference_in_the_masks(shared_dat
     outside_mm = []
     for camera in load_rig(folder / "rig.yaml").cameras:
         shape = (camera.height, camera.width, 3)
-        background = read_background(folder / f"{camera.name}_background.png", shape, BackgroundSettings())
+        background = read_background(folder / f"{camera.name}_background.png", shape)
         pipeline, video = SilhouettePipeline(camera, background), open_footage(folder / f"{camera.name}.mp4")
         for k in range(21):
             image = video.read()

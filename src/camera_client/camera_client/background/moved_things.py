@@ -21,12 +21,11 @@ from capture_rig.stamps import StampThrottle
 
 from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
-from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
+from .kernels import BEYOND_NOISE, BLOCK_PX, STEP_PX, USUAL_S, clear_absorbed, follow_running
 from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
-BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
 STILL_S = LASTING_S  # nobody sees it, and it keeps still, so long: it is a thing; as learned so long: it is none

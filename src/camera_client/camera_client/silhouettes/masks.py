@@ -16,10 +16,9 @@ import numpy.typing as npt
 from capture_rig.camera import UndistortedView
 from capture_rig.kernel import njit
 
-from ..background.kernels import OPTIONS
+from ..background.kernels import BLOCK_PX, OPTIONS
 from ..frame_source import Mask
 
-BLOCK_PX = 8
 MOST_IN_BLOCK_PX = 8
 
 

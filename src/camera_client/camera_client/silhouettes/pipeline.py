@@ -23,9 +23,10 @@ from capture_rig.visibility import may_be_halved, of_shape
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..alignment import PictureAlignment
-from ..background.adaptive import AdaptiveBackground, FixedBackground, samples_of
-from ..background.expected_image import Corners, Samples
-from ..background.kernels import HIGHEST, STEP_PX
+from ..background.adaptive import AdaptiveBackground
+from ..background.expected_image import Corners, Samples, samples_of
+from ..background.fixed import FixedBackground
+from ..background.kernels import BLOCK_PX, HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..background.noise import Noise
@@ -36,7 +37,7 @@ from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
-from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
+from .masks import Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
 from .shadows import ALIGNMENT_PX, HALVED_NOISE, AttenuationMarker, ColourShadow, FloorShadow, Scene, enlarged
 from .texture import halve
 
@@ -121,7 +122,7 @@ class SilhouettePipeline:
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
             alignment = alignment or PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
-            self.background = AdaptiveBackground(background, background_settings, BLOCK_PX, alignment)
+            self.background = AdaptiveBackground(background, background_settings, alignment)
         else:
             self.background = FixedBackground(background, background_settings)
         self.moved: MovedThings | None = None
