@@ -18,6 +18,7 @@ from ..alignment import LINEAR_PX, PictureAlignment
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
+from .fixed import FixedBackground
 from .kernels import BLOCK_PX, HIGHEST, SCALE, STEP_PX, USUAL_S, take_residuals, take_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
@@ -58,7 +59,7 @@ class AdaptiveBackground:
         self.lights = LightEstimator(cell, channels)
         self._sampled = np.stack([samples_index(row, column, width), self._block_index(row, column)])
         self.shift, self._aligner = ShiftEstimator((height, width)), aligner
-        self._doubted = np.zeros(-(-height // BLOCK_PX) * -(-width // BLOCK_PX), np.uint8)
+        self._doubted: Mask = np.zeros(-(-height // BLOCK_PX) * -(-width // BLOCK_PX), np.uint8)
         self._foreground_known = False
         self._last_ns: int | None = None
         self._since_shift_s = self._since_renewal_s = 0.0
@@ -88,7 +89,8 @@ class AdaptiveBackground:
 
     def note_foreground(self, dense: Mask) -> None:
         """Take the blocks of this frame (one pixel each, not 0 where foreground is): they count little in the next."""
-        self._doubted, self._foreground_known = cv2.dilate(dense, np.ones((3, 3), np.uint8)).reshape(-1), True
+        self._doubted = np.asarray(cv2.dilate(dense, np.ones((3, 3), np.uint8)).reshape(-1), np.uint8)
+        self._foreground_known = True
 
     # --- following
 
@@ -203,3 +205,6 @@ class AdaptiveBackground:
         end = min(self._next_row + math.ceil(height * share / STEP_PX) * STEP_PX, height)
         self.expected.renew(slice(self._next_row, end), self._today)
         self._next_row = end % height
+
+
+Background = AdaptiveBackground | FixedBackground

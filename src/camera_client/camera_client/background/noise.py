@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.optimize import nnls
 
 from ..sources.frame_checks import WHITE_LEVEL
-from .kernels import HALF_MEDIAN, STEP_PX, USUAL_S, WITHIN_NOISE
+from .kernels import HALF_MEDIAN, HIGHEST, STEP_PX, USUAL_S, WITHIN_NOISE
 from .light import Light
 from .model import NOISIEST, BackgroundModel
 
@@ -66,6 +66,11 @@ class Noise(NamedTuple):
     def sigma(self, level: float) -> float:
         """Return the standard deviation at a grey level, the channels together."""
         return math.sqrt((sum(self.read.tolist()) + level * sum(self.slope.tolist())) / len(self.read))
+
+    @property
+    def typical_sigma(self) -> float:
+        """Its standard deviation at a middle grey level."""
+        return self.sigma(HIGHEST / 2)
 
     def moved(self, target: Noise, share: float) -> Noise:
         """Return the noise moved by ``share`` of the way to ``target``."""
@@ -172,7 +177,7 @@ class NoiseEstimator:
         if self._since_s < (NOISE_S if self._correlation.known else NOISE_S / 3):
             return
         level = expected[:, self._at].T * light.gain
-        sure = (level + rest < WHITE_LEVEL).all(axis=1)
+        sure = np.asarray((level + rest < WHITE_LEVEL).all(axis=1))
         if doubted is not None:
             sure &= doubted == 0
         spatial = self._correlation.update(samples, expected, light, sure, self._since_s)
