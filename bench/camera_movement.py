@@ -47,7 +47,6 @@ from scenes import shared_sessions
 
 from camera_client.background.model import read_background
 from camera_client.movement import CameraMovedDetector, MovementState
-from camera_client.settings import BackgroundSettings
 from capture_rig import Rig
 from capture_rig.video import Video
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
@@ -256,7 +255,7 @@ def unmoved_pictures(unmoved: FalseAlarms, only: str) -> None:
                 if watch is None:
                     grey = bool((image[..., 0] == image[..., 1]).all())
                     shape = image.shape[:2] if grey else image.shape
-                    background = read_background(session.backgrounds[camera], shape, BackgroundSettings())
+                    background = read_background(session.backgrounds[camera], shape)
                     watch = CameraMovedDetector(session.rig.camera(camera), background)
                 picture = np.ascontiguousarray(image[..., 0]) if grey else image
                 movement = watch.update(picture, round(frame / session.fps * 1e9))

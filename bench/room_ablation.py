@@ -64,7 +64,7 @@ ROWS = (
     Row("without following the light", replaced=patch.object(LightEstimator, "update", no_light)),
     Row(
         "without measuring the noise",
-        replaced=patch("camera_client.background.adaptive.measured_noise", lambda *_, **__: None),
+        replaced=patch("camera_client.background.noise.measured_noise", lambda *_, **__: None),
     ),
     Row(
         "without following the camera",

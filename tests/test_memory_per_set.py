@@ -98,7 +98,7 @@ def test_frames_of_a_camera_leave_no_memory_behind(built_in_session: Path) -> No
     session, configuration = load_session(built_in_session), Configuration.of({})
     name = session.rig.names[0]
     images = to_and_fro(each[name] for each in images_of({name: session.videos[name]}))
-    background = read_background(session.backgrounds[name], images[0].shape, configuration.camera.background_model)
+    background = read_background(session.backgrounds[name], images[0].shape)
     chain = make_segmenter(session.rig.camera(name), background, configuration.camera, session.rig.volume)
     bytes_a_frame, objects_a_frame = growth_per_step(
         lambda number: chain.run(images[number % len(images)], number * PERIOD_NS), WARM_FRAMES, len(images)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
@@ -16,6 +17,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import with_intrinsics
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE, UNCERTAIN
 from mocap_packets.silhouette import Silhouette
 from sagoma_ros.health import NodeHealth
 from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
@@ -37,15 +39,17 @@ from .diagnostics import (
     source_values,
 )
 from .frame_processor import FrameProcessor, FrameResult
-from .frame_source import Frame, FrameSource
+from .frame_source import Frame, FrameSource, Mask
+from .frame_source import Image as Picture
 from .settings import CameraClientSettings
-from .silhouettes.pipeline import outline
 from .sources.footage_source import FootageClock, SharedClock
 from .sources.grab_loop import GrabLoop
 
 PREVIEW_PERIOD_S = 0.2
 SILHOUETTE_TOPIC = "silhouette/compressed"
 FOOTAGE_CLOCK_TOPIC = "footage/clock"
+PERSON_BGR, CANDIDATE_BGR = (0, 255, 0), (0, 140, 255)
+LINE_PX = 2
 
 
 def camera_from_message(info: CameraInfo, camera: CameraModel, where: str = "set_camera_info") -> CameraModel:
@@ -122,6 +126,24 @@ class CameraTopics:
 
 def _is_heard(publisher: Publisher | None) -> bool:
     return publisher is not None and publisher.get_subscription_count() > 0
+
+
+def outline(image: Picture, mask: Mask) -> Picture:
+    """Draw the outlines of a silhouette into its image.
+
+    Gives the image (H, W[, 3]), which may come at half size, at half size, BGR, the person's outline green, that of
+    shadow candidates orange. ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`.
+    """
+    if image.shape[:2] != mask.shape:
+        image = np.asarray(cv2.resize(image, mask.shape[::-1], interpolation=cv2.INTER_NEAREST))
+    shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    for above, most, colour in (
+        (UNCERTAIN, SHADOW_CANDIDATE, CANDIDATE_BGR),
+        (SHADOW_CANDIDATE, FOREGROUND, PERSON_BGR),
+    ):
+        contours, _ = cv2.findContours(cv2.inRange(mask, above + 1, most), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+        cv2.drawContours(shown, contours, -1, colour, LINE_PX)
+    return np.asarray(cv2.resize(shown, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
 
 
 class CameraReport:

@@ -16,11 +16,11 @@ from scipy.special import chdtri, ndtr
 
 from capture_rig.stamps import NS, StampThrottle
 
-from .background.adaptive import FixedBackground
+from .background.fixed import FixedBackground
 from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
 from .background.verdict import PERSON, describe_regions, find_regions
 from .frame_source import LASTING_S, REPORT_PERIOD_S
-from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
+from .silhouettes.pipeline import SilhouettePipeline
 
 RECENT_S = 10 * LASTING_S  # switches of the light within this count together; else what lasts for LASTING_S counts
 
@@ -84,7 +84,7 @@ class ConditionWatch:
             light_gain=background.light.brightness,
             light_flicker=math.sqrt(lights.flicker2),
             light_switches_recent=lights.switches - self._switches[0][1],
-            noise_levels=background.noise.sigma(TYPICAL_LEVEL),
+            noise_levels=background.noise.typical_sigma,
             displacement_px=scale * shift.total.most_px(self._pipeline.image_shape),
             displacement_left_px=scale * shift.left_px,
             background_doubtful=background.expected.doubtful,
@@ -93,13 +93,15 @@ class ConditionWatch:
 
     def add(self, background: Condition, stamp_ns: int) -> None:
         """Add what the silhouette of that frame, the last one that the pipeline segmented, leaves open."""
-        parts, unexplained, faint = self._pipeline.parts, 0, None
-        if parts is not None:
-            unexplained = cv2.countNonZero(cv2.subtract(parts.foreground, cv2.bitwise_or(parts.person, parts.shadow)))
-            pixels = cv2.countNonZero(parts.person)
+        labels, unexplained, faint = self._pipeline.labels, 0, None
+        if labels is not None:
+            unexplained = cv2.countNonZero(
+                cv2.subtract(labels.foreground, cv2.bitwise_or(labels.person, labels.shadow))
+            )
+            pixels = cv2.countNonZero(labels.person)
             if self._pipeline.measures_distance and pixels >= PERSON * self._pipeline.looked_at_px:
-                near = cv2.threshold(parts.distance, self._faint_below, 255, cv2.THRESH_BINARY_INV)[1]
-                faint = cv2.countNonZero(cv2.bitwise_and(near, parts.person)) / pixels
+                near = cv2.threshold(labels.distance, self._faint_below, 255, cv2.THRESH_BINARY_INV)[1]
+                faint = cv2.countNonZero(cv2.bitwise_and(near, labels.person)) / pixels
         now = unexplained / self._pipeline.looked_at_px, faint or 0.0
         # the least of each in the last LASTING_S counts, 0 while that is not over
         lasts = _spans(self._lasting, stamp_ns, now, LASTING_S)

@@ -139,7 +139,7 @@ class FrameProcessor:
         if not path and saved and Path(saved).exists():
             path = saved
         if path:
-            self.use_background(read_background(path, shape, self._settings.background_model))
+            self.use_background(read_background(path, shape))
         return bool(path)
 
     def check_background_file(self) -> None:

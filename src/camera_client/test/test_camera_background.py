@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from camera_client.background.adaptive import FixedBackground
+from camera_client.background.fixed import FixedBackground
 from camera_client.background.model import NOISIEST, BackgroundModel, Provenance, load_background, read_background
 from camera_client.background.training import FEWEST_FRAMES, background_of_footage
 from camera_client.settings import BackgroundSettings
@@ -146,7 +146,7 @@ def test_file_that_is_no_model_is_refused(tmp_path, content, text):
 def test_background_learned_from_a_video_equals_the_learner(tmp_path, scene):
     images = scene.empty(12)
     path = scene.write_video(tmp_path / "bg.avi", images)
-    model = read_background(path, (scene.height, scene.width), BackgroundSettings())
+    model = read_background(path, (scene.height, scene.width))
     assert np.allclose(model.mean, np.mean(images, axis=0), atol=1e-4)
     assert np.allclose(model.sigma, np.std(images, axis=0, ddof=1), atol=1e-4)
     assert (model.provenance.source, model.provenance.frames) == (path, 12)
@@ -154,7 +154,7 @@ def test_background_learned_from_a_video_equals_the_learner(tmp_path, scene):
 
 def test_background_from_one_still_assumes_a_noise(tmp_path, scene):
     path = scene.write_video(tmp_path / "one.avi", scene.empty(1))
-    model = read_background(path, (scene.height, scene.width), BackgroundSettings())
+    model = read_background(path, (scene.height, scene.width))
     assert np.array_equal(model.mean, scene.empty(1)[0])
     assert (model.sigma == NOISIEST).all()
     assert (model.provenance.frames, model.provenance.mean_noise) == (1, NOISIEST)
@@ -164,7 +164,7 @@ def test_background_from_one_still_assumes_a_noise(tmp_path, scene):
 def test_background_of_another_size_or_channels_is_refused(tmp_path, scene, shape, text):
     model_of(np.zeros((120, 160)), np.ones((120, 160))).save(tmp_path / "bg.npz")
     with pytest.raises(InputError, match=rf"bg\.npz: the background is 160 x 120 mono, .* {text}"):
-        read_background(tmp_path / "bg.npz", shape, BackgroundSettings())
+        read_background(tmp_path / "bg.npz", shape)
 
 
 # --- a background of footage with people in it

@@ -9,12 +9,12 @@ import pytest
 from camera_pictures import SENSOR, iou, learned, studio_walk
 
 from camera_client.background.model import load_background
+from camera_client.camera_ros import outline
 from camera_client.configuration import check_size
 from camera_client.frame_processor import FrameProcessor
 from camera_client.frame_source import Frame
 from camera_client.gige.pixel_formats import to_image
 from camera_client.settings import CameraClientSettings
-from camera_client.silhouettes.pipeline import outline
 from capture_rig.errors import InputError
 from sagoma_ros.images import decode_silhouette
 from virtual_studio.recording.session import FIRST_BACKGROUND_FRAME

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from camera_pictures import learned
 
-from camera_client.background.adaptive import AdaptiveBackground, samples_of
+from camera_client.background.adaptive import AdaptiveBackground
+from camera_client.background.expected_image import samples_of
 from camera_client.background.noise import measured_correlation
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.evidence import FINE_GRAIN
@@ -38,7 +39,7 @@ def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(co
     rng = np.random.default_rng(5)
     light, stored = room(colour, rng, (WIDTH // 2, HEIGHT // 2)), through_jpeg if codec else lambda picture: picture
     model = learned(stored(exposed(light, rng)) for _ in range(20))
-    background = AdaptiveBackground(model, BackgroundSettings(), 8)
+    background = AdaptiveBackground(model, BackgroundSettings())
     for frame in range(24):
         image = stored(exposed(np.roll(light, 30 * (frame >= 14), axis=1), rng))
         background.follow(image, samples_of(image), round(frame * 1e9 / FPS))

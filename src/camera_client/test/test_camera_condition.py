@@ -262,7 +262,7 @@ def test_rendered_sessions_give_no_finding_that_costs_silhouettes(shared_data, s
     folder = shared_data("sessions", session)
     rig, video = load_rig(folder / "rig.yaml"), open_footage(folder / f"{name}.mp4")
     processor = FrameProcessor(rig.camera(name), CameraClientSettings(), rig.volume)
-    processor.use_background(read_background(folder / f"{name}_background.mp4", video.probe(), BackgroundSettings()))
+    processor.use_background(read_background(folder / f"{name}_background.mp4", video.probe()))
     grades = set()
     for k in range(120):
         processor.run(Frame(video.read(), 1 + k * 40_000_000, k, "test"))

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from camera_client.background.adaptive import FixedBackground
+from camera_client.background.fixed import FixedBackground
+from camera_client.background.kernels import BLOCK_PX
 from camera_client.background.verdict import HAND
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import (
-    BLOCK_PX,
     Box,
     BoxUndistorter,
     ForegroundLocator,
@@ -54,10 +54,7 @@ def test_everything_that_survives_the_majority_filter_lies_in_the_box(seed, side
     x, y = rng.integers(0, shape[1]), rng.integers(0, shape[0])
     cv2.ellipse(mask, (int(x), int(y)), (int(rng.integers(1, 15)), int(rng.integers(1, 15))), 0, 0, 360, 255, -1)
     search = ForegroundLocator(shape, 0, majority_count(side))
-    search.buffer[:] = 255 - mask
-    box = search.box()
-    grown = Box(0, 0, 0, 0) if box.empty else box.grown(side // 2, shape)
-    assert holds(grown, majority(mask, side))
+    assert holds(search.find(mask, 127).grown(side // 2, shape), majority(mask, side))
 
 
 def test_scattered_noise_does_not_widen_the_box():
@@ -65,8 +62,7 @@ def test_scattered_noise_does_not_widen_the_box():
     mask = np.where(rng.random((480, 640)) < 0.01, np.uint8(255), np.uint8(0))
     mask[200:400, 300:360] = 255
     search = ForegroundLocator(mask.shape, 46, majority_count(5))
-    search.buffer[:] = 255 - mask
-    box = search.box()
+    box = search.find(mask, 127)
     assert holds(box, np.where(cv2.erode(mask, np.ones((9, 9))) > 0, 255, 0))
     assert (box.bottom - box.top) <= 200 + 4 * BLOCK_PX and (box.right - box.left) <= 60 + 4 * BLOCK_PX
 
@@ -85,13 +81,13 @@ def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
 def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
     raw = majority(FixedBackground(background, THESIS).distance(image, image))
-    scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
+    change, at = change_of(image, background.mean), (slice(0, None), slice(0, None))
+    scene = Scene(image, background.mean, change, FixedBackground(background, THESIS).noise, at)
     shadow = (ColourShadow if image.ndim == 3 else FloorShadow)(camera).shadow(scene, raw)
     height = len(image)
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
     person = keep_people(person, PeopleRule(HAND * area, settings.near * height, settings.max_hole * area))
-    change = change_of(image, background.mean)
     person = trim_outline(person, change, settings.outline_contrast, colour=image.ndim == 3)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
 

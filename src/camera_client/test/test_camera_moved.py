@@ -19,7 +19,7 @@ from camera_client.diagnostics import CameraState, Level, assess, frame_values
 from camera_client.frame_processor import FrameProcessor, FrameResult
 from camera_client.frame_source import Frame
 from camera_client.movement import CameraMovedDetector, Movement, MovementState, carry_turn_over, turn_when_learned
-from camera_client.settings import BackgroundSettings, CameraClientSettings, CameraMovedSettings
+from camera_client.settings import CameraClientSettings, CameraMovedSettings
 from camera_client.sources.grab_loop import GrabState
 from capture_rig.rig import load_rig
 from capture_rig.video import Video
@@ -209,7 +209,7 @@ def test_real_footage_is_still_and_named_when_it_is_turned_by_a_degree(shared_da
     folder = shared_data("real_4cam")
     camera = load_rig(folder / "rig.yaml").camera("cam03")
     shape = (camera.height, camera.width, 3)
-    model = read_background(folder / "cam03_background.png", shape, BackgroundSettings())
+    model = read_background(folder / "cam03_background.png", shape)
     with Video(folder / "cam03.mp4") as video:
         frames = list(islice(video, 0, 61, 15))
     movement = watched(CameraMovedDetector(camera, model), frames)

@@ -4,14 +4,16 @@ a second.
 The room's people are as bad as can be: they do not move by a pixel, unless a test says that they sway.
 """
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.adaptive import samples_of
-from camera_client.background.kernels import STEP_PX
+from camera_client.background.expected_image import samples_of
+from camera_client.background.kernels import BLOCK_PX, STEP_PX
 from camera_client.background.moved_evidence import APPLY_AFTER_S, SupportHistory
-from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
+from camera_client.background.moved_things import OUTSIDE_STILL_S, STILL_S, MovedThings
 from camera_client.background.verdict import find_regions
 from capture_rig.camera import CameraModel
 from mocap_packets.silhouette import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
@@ -89,7 +91,7 @@ class Room:
         self.frames += 1
         image, foreground = self.shot(picture)
         looked_at = np.ascontiguousarray(foreground[::STEP_PX, ::STEP_PX])
-        self.moved.update(image, samples_of(image), looked_at, self.look(foreground), stamp_ns)
+        self.moved.update(image, samples_of(image), looked_at, self.subtracted(foreground), stamp_ns)
         self.moved.clear_absorbed(image, foreground)
         if says is not None:
             cells = np.full((HEIGHT // CELL_PX, WIDTH // CELL_PX), says, np.uint8)
@@ -98,10 +100,16 @@ class Room:
             self.moved.others.add(self.waiting.pop(0)[1])
         return foreground
 
-    def look(self, foreground):
-        """Tells the background and the foreground of any part."""
-        unabsorbed = foreground.copy()
-        return lambda _, box: tuple(each[box[0] : box[2], box[1] : box[3]] for each in (self.expected, unabsorbed))
+    def subtracted(self, foreground):
+        """The background, which tells its picture and the foreground of any part."""
+        distance = np.stack([foreground, foreground])
+
+        def look(_, box, rows):
+            at = slice(box[0], box[2]), slice(box[1], box[3])
+            return self.expected[at], distance[:, *at]
+
+        light, noise = SimpleNamespace(brightness=1.0), SimpleNamespace(typical_sigma=NOISE)
+        return SimpleNamespace(light=light, noise=noise, step_px=STEP_PX, threshold=0, look=look)
 
     def watch(self, picture, seconds, says=None):
         """The same picture, or one a frame from a function of the time; returns the last frame's foreground."""

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from camera_client.background.adaptive import samples_of
-from camera_client.background.kernels import STEP_PX
+from camera_client.background.expected_image import samples_of
+from camera_client.background.kernels import BLOCK_PX, STEP_PX
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.appearance import PeopleColours
-from camera_client.silhouettes.masks import BLOCK_PX, Box
+from camera_client.silhouettes.masks import Box
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig.mask_levels import FOREGROUND, UNCERTAIN
 

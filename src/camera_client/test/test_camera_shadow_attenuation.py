@@ -25,7 +25,8 @@ def darkened(model, ratio):
 
 def seen(model, image, box=ALL):
     """The part of the frame ``image`` in the box, before the background as it was learned."""
-    return Scene(image[box.slices], model.mean[box.slices], assumed_noise(1.5, 1), box.slices)
+    change = change_of(image, model.mean)
+    return Scene(*(each[box.slices] for each in (image, model.mean, change)), assumed_noise(1.5, 1), box.slices)
 
 
 @pytest.mark.parametrize("colour", [False, True])

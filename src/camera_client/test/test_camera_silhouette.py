@@ -6,17 +6,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from camera_pictures import iou, learned
+from camera_pictures import change_of, iou, learned
 from numba.core.registry import CPUDispatcher as Dispatcher
 
 from camera_client.background import kernels as kernels_of_background
 from camera_client.background.model import read_background
 from camera_client.background.noise import assumed_noise, learned_noise
+from camera_client.camera_ros import CANDIDATE_BGR, PERSON_BGR, outline
 from camera_client.frame_processor import warm_up_silhouettes
-from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes import evidence
 from camera_client.silhouettes import shadows as shadow_tests
-from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
+from camera_client.silhouettes.pipeline import EMPTY, FULL, SilhouettePipeline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
@@ -86,7 +87,8 @@ EVERYWHERE = np.full((120, 160), 255, np.uint8)
 def shadows(test, empty, image, mask=EVERYWHERE):
     """What the test finds in a whole image before the background that ``empty`` images show."""
     background = learned(empty)
-    return test.shadow(Scene(image, background.mean, learned_noise(background), (slice(0, None), slice(0, None))), mask)
+    change, at = change_of(image, background.mean), (slice(0, None), slice(0, None))
+    return test.shadow(Scene(image, background.mean, change, learned_noise(background), at), mask)
 
 
 def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not(scene):
@@ -122,7 +124,7 @@ def test_small_patches_are_shadow_near_large_ones_only():
     for patch in (large, near, alone):
         image[patch] = np.rint(0.75 * expected[patch])
         mask[patch] = 255
-    scene = Scene(image, expected, assumed_noise(2.0, 3), (slice(0, None), slice(0, None)))
+    scene = Scene(image, expected, change_of(image, expected), assumed_noise(2.0, 3), (slice(0, None), slice(0, None)))
     found = ColourShadow(camera).shadow(scene, mask)
     assert found[large].all() and found[near].all() and not found[alone].any()
 
@@ -137,7 +139,8 @@ def test_grey_clothes_before_a_grey_floor_are_no_shadow_unless_its_texture_shows
     image[shadow] -= 0.35 * floor[shadow]
     image[trousers] = 78.0 + rng.normal(0, 2, image[trousers].shape)
     mask[shadow] = mask[trousers] = 255
-    scene = Scene(np.rint(image.clip(0, 255)).astype(np.uint8), expected, noise, at)
+    image = np.rint(image.clip(0, 255)).astype(np.uint8)
+    scene = Scene(image, expected, change_of(image, expected), noise, at)
     found = ColourShadow(camera).shadow(scene, mask) > 0
     assert found[shadow].mean() > 0.9 and not found[trousers].any()
 
@@ -241,7 +244,7 @@ def test_rendered_session_is_segmented_with_high_recall(shared_data, session, le
     scores = []
     for camera in load_rig(folder / "rig.yaml").cameras[1:4:2]:
         shape = (camera.height, camera.width)
-        background = read_background(folder / f"{camera.name}_background.mp4", shape, BackgroundSettings())
+        background = read_background(folder / f"{camera.name}_background.mp4", shape)
         pipeline = SilhouettePipeline(camera, background)
         videos = [open_footage(folder / f"{camera.name}{tail}.mp4", "mono") for tail in ("", "_mask")]
         for k in range(76):
@@ -262,7 +265,7 @@ def test_real_footage_keeps_every_joint_of_the_reference_in_the_masks(shared_dat
     outside_mm = []
     for camera in load_rig(folder / "rig.yaml").cameras:
         shape = (camera.height, camera.width, 3)
-        background = read_background(folder / f"{camera.name}_background.png", shape, BackgroundSettings())
+        background = read_background(folder / f"{camera.name}_background.png", shape)
         pipeline, video = SilhouettePipeline(camera, background), open_footage(folder / f"{camera.name}.mp4")
         for k in range(21):
             image = video.read()

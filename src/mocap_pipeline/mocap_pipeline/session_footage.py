@@ -42,7 +42,7 @@ def pipeline_of(session: Session, configuration: Configuration | None = None) ->
 
     def background(name: str) -> BackgroundModel:
         with closing(open_footage(session.videos[name])) as video:
-            return read_background(session.backgrounds[name], video.probe(), chosen.camera.background_model)
+            return read_background(session.backgrounds[name], video.probe())
 
     return MocapPipeline(session.rig, chosen, {name: background(name) for name in session.rig.names})
 

@@ -4,17 +4,19 @@ import io
 import time
 import zipfile
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import take_bags
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from take_bags import EPOCH_NS, PERIOD_NS
 from tools_waiting import until
 
 from capture_rig.errors import InputError
 from motion_export.motion import UNTRACKED
-from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
+from sagoma_ros.messages import key_values
+from sagoma_tools.graph.diagnostics_table import LATENCY, STALE_S, DiagnosticsTable, NodeReport
 from sagoma_tools.takes.folder import TakesFolder, describe
 from sagoma_tools.view.control import ALL_FORMATS, Jobs, export_files
 from sagoma_tools.view.graph_panel import states_html
@@ -140,6 +142,17 @@ def test_a_silent_camera_is_said_with_since_when_and_what_to_do():
     assert "no word since" in said and "(8 s)" in said and "start it again" in said
     assert "30.0 Hz" in said and "3 frames lost" in said and "&lt;b&gt;the lens" in said and "not been heard" in said
     assert "sagoma up" in states_html({}, now_s)
+
+
+@pytest.mark.parametrize(("of_camera", "shown"), [({LATENCY: "9.00"}, True), ({}, False)], ids=["live", "slow footage"])
+def test_results_have_an_age_where_the_stamps_of_the_cameras_are_the_time_of_exposure(of_camera, shown):
+    hear = []
+    table = DiagnosticsTable(SimpleNamespace(create_subscription=lambda *about: hear.append(about[2])))
+    for name, values in (("/cam01/camera_client", of_camera), ("/ekf_tracker", {LATENCY: "13261.76"})):
+        status = DiagnosticStatus(name=name, values=key_values({"rate_hz": "30.0"} | values))
+        hear[0](DiagnosticArray(status=[status]), {"received_timestamp": 0})
+    said = states_html({"/ekf_tracker": table.report("/ekf_tracker")}, time.monotonic())
+    assert "30.0 Hz" in said and ("13261.76 ms old" in said) == shown
 
 
 def test_sure_points_are_green_unsure_ones_red_and_all_of_somebody_lost():

@@ -14,7 +14,18 @@ import numpy.typing as npt
 
 from ..frame_source import Image, Mask
 from ..sources.frame_checks import WHITE_LEVEL
-from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
+from .kernels import (
+    BLACK,
+    STEP_PX,
+    WHITE,
+    Bounds,
+    Learned,
+    Today,
+    distance_of_samples,
+    look_closely,
+    refresh_samples,
+    thin_out,
+)
 from .light import FIELD_ACROSS, FIELD_DOWN, Light
 from .model import BackgroundModel
 from .noise import Noise
@@ -31,6 +42,14 @@ Corners = tuple[int, int, int, int]
 """Of a part of the picture: top, left, bottom, right, the last two excluded."""
 Rows = npt.NDArray[np.int64]
 """Of each row of a part (h, 2): the first column that is looked at, and the one after the last."""
+
+
+def samples_of(image: Image) -> Samples:
+    """Return every STEP_PX-th row and column of an image (H, W) or (H, W, C): (C, h, w)."""
+    pixels = image.reshape(*image.shape[:2], -1)
+    out = np.empty((pixels.shape[2], *(-(-n // STEP_PX) for n in image.shape[:2])), np.uint8)
+    thin_out(pixels, out)
+    return out
 
 
 class ExpectedImage:

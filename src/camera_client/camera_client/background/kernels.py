@@ -19,6 +19,7 @@ OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a variance, so that 255 is 8 sigmas
 HIGHEST = float(np.iinfo(np.uint8).max)
 STEP_PX = 2  # the whole picture is looked at in every second row and column, all of it where somebody may be
+BLOCK_PX = 8  # side of the blocks that foreground is counted in
 WHITE, BLACK = 1, 2  # kinds of a background that is clipped
 F32 = np.float32
 

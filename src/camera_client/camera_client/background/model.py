@@ -1,13 +1,11 @@
-"""The background of a fixed camera: one Gaussian a pixel and channel (thesis 6.2), and what does not fit it (6.3)."""
+"""The background of a fixed camera, learned: one Gaussian a pixel and channel (thesis 6.2)."""
 
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import cv2
@@ -29,7 +27,6 @@ FORMAT = "sagoma background 1"
 # Thresholds: judgement, no measurement.
 NOISIEST = 4.0  # grey levels: no camera is noisier, it moved; of a single still, whose noise is not known, so much is
 # assumed
-SQRT_2_PI = math.sqrt(2 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -79,6 +76,10 @@ class BackgroundModel:
     def shape(self) -> tuple[int, ...]:
         return self.mean.shape
 
+    @property
+    def channels(self) -> int:
+        return 1 if self.mean.ndim == 2 else self.mean.shape[2]
+
     def with_provenance(self, **changes: Any) -> BackgroundModel:
         """Return the same arrays with some fields of the provenance changed."""
         return BackgroundModel(self.mean, self.sigma, replace(self.provenance, **changes))
@@ -94,21 +95,6 @@ class BackgroundModel:
     def moving_share(self) -> float:
         """Share of the :attr:`moving_pixels`."""
         return float(self.moving_pixels.mean())
-
-    def limits(self, settings: BackgroundSettings) -> tuple[Image, Image]:
-        """Return the lowest and highest grey level of the background, uint8, shaped as the image; 255, 0 for none.
-
-        Thesis 6.3, corrected: a pixel is *foreground* when it is improbable under its background (as printed, the
-        sentence calls almost every background pixel foreground). Both rules ask for |g - mu| <= half width, and so
-        collapse exactly to two images of whole grey levels, lo = ceil(mu - half) and hi = floor(mu + half).
-        The rule "adaptive" judges distances, not levels; its limits here are those of "tail".
-        """
-        mean, sigma = self.mean.astype(float), np.maximum(self.sigma.astype(float), settings.sigma_floor)
-        half = half_width(sigma, settings.rule, settings.risk)
-        lo, hi = np.ceil(mean - half), np.floor(mean + half)
-        never = (half < 0) | (lo > hi)
-        lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
-        return lo.astype(np.uint8), hi.astype(np.uint8)
 
     def save(self, path: str | Path) -> None:
         """Write an .npz with the arrays and the provenance. Raises InputError when the file cannot be written."""
@@ -165,19 +151,6 @@ class BackgroundLearner:
         return BackgroundModel(mean.astype(np.float32), sigma, Provenance(source, n, float(sigma.mean()), **about))
 
 
-def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.NDArray[np.float64]:
-    """Return how far a grey level may lie from the mean; negative where no grey level is background.
-
-    "tail": P(|g - mu| > half) = risk, the same number of sigmas everywhere. "pdf": the density at the limit equals
-    ``risk`` per grey level (thesis 6.3, as in the HumanEva code), so that a noisier pixel gets fewer sigmas, and one
-    with sigma > 1 / (risk sqrt(2 pi)) none at all.
-    """
-    if rule != "pdf":
-        return sigma * -NormalDist().inv_cdf(risk / 2)
-    log_ratio = np.log(risk * sigma * SQRT_2_PI)
-    return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
-
-
 def load_background(path: str | Path) -> BackgroundModel:
     """Read a model that :meth:`BackgroundModel.save` wrote. Raises InputError for anything else."""
     path = Path(path)
@@ -227,7 +200,7 @@ def shape_text(shape: tuple[int, ...]) -> str:
 SOFTWARE = f"sagoma camera_client {__version__}"
 
 
-def read_background(path: str | Path, shape: tuple[int, ...], settings: BackgroundSettings) -> BackgroundModel:
+def read_background(path: str | Path, shape: tuple[int, ...]) -> BackgroundModel:
     """Return the background at ``path`` for images of ``shape``. Raises InputError naming the file.
 
     A ``.npz`` is loaded; several images are learned from; a single one is taken as the mean, with the noise that
@@ -239,14 +212,14 @@ def read_background(path: str | Path, shape: tuple[int, ...], settings: Backgrou
     else:
         reader = open_footage(path, "mono" if len(shape) == 2 else "colour")
         try:
-            model = _learn(reader, settings)
+            model = _learn(reader)
         finally:
             reader.close()
     check_shape(model, shape, str(path))
     return model
 
 
-def _learn(reader: FootageReader, settings: BackgroundSettings) -> BackgroundModel:
+def _learn(reader: FootageReader) -> BackgroundModel:
     reader.probe()
     learner, last = BackgroundLearner(), None
     while True:

@@ -10,8 +10,6 @@ Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stam
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +18,13 @@ from capture_rig.camera import CameraModel
 from capture_rig.stamps import StampThrottle
 
 from ..frame_source import LASTING_S, Image, Mask
+from .adaptive import Background
 from .expected_image import Corners, Samples
-from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
+from .kernels import BEYOND_NOISE, BLOCK_PX, STEP_PX, USUAL_S, clear_absorbed, follow_running
 from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
-BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
 STILL_S = LASTING_S  # nobody sees it, and it keeps still, so long: it is a thing; as learned so long: it is none
@@ -35,10 +33,6 @@ REST_S = USUAL_S  # the picture has come to rest: outlines say enough; also the 
 # are compared with: slower than sway, faster than daylight
 MOST_BLOBS = 8  # looked at a time: bounds the work
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
-
-Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
-"""Gives of a part of an image (top, left, bottom, right; the last two excluded) the background's picture in today's
-light, and (h, w) 255 where the image differs from it."""
 
 
 class MovedThings:
@@ -105,45 +99,31 @@ class MovedThings:
         pixels, mean = (each.reshape(*self._shape, -1) for each in (image, self.mean))
         clear_absorbed(pixels, mean, self.replaced, self._limit, (brightness, step_px, v, u), part, values)
 
-    def is_due(self, stamp_ns: int) -> bool:
-        """Whether :meth:`update` would look at a frame of this stamp."""
-        return stamp_ns < self._last_ns or self._throttle.is_due(stamp_ns)
+    def update(self, image: Image, samples: Samples, distance: Mask, background: Background, stamp_ns: int) -> None:
+        """Take one frame (H, W[, 3]) of ``stamp_ns``; it is looked at if it is time to.
 
-    def update(
-        self,
-        image: Image,
-        samples: Samples,
-        foreground: Mask,
-        look: Look,
-        stamp_ns: int,
-        brightness: float = 1.0,
-        sigma: float = 0.0,
-    ) -> None:
-        """Take one frame (H, W[, 3]) of ``stamp_ns``.
-
-        samples (C, h, w) : every STEP_PX-th row and column of it. foreground (h, w) : of these, 255 where it differs
-        from what was learned first, also where that was absorbed. look : tells the same of any part. brightness : of
-        today's light, against when it was learned. sigma : of the noise now, grey levels, where that is more than was
-        learned.
+        samples (C, h, w) : every STEP_PX-th row and column of it. distance : of every ``step_px``-th pixel from the
+        ``background``, also where that was absorbed.
         """
-        self._brightness = brightness
+        if stamp_ns < self._last_ns:
+            self._restart()
+        step_s = self._throttle.step_s(stamp_ns)
+        if step_s <= 0.0:
+            return
+        self._last_ns, self._brightness = stamp_ns, background.light.brightness
         if self.mean.shape != image.shape:
             self.mean = np.zeros(image.shape, np.float32)
-        sigma = max(sigma, self._learned_sigma)
+        sigma = max(background.noise.typical_sigma, self._learned_sigma)
         if abs(sigma - self._noise) > 0.2 * self._noise:
             self._noise = sigma
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
             self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
-        if stamp_ns < self._last_ns:
-            self._restart()
-        self._last_ns = stamp_ns
-        step_s = self._throttle.step_s(stamp_ns)
-        if step_s <= 0.0:
-            return
         self.others.update(stamp_ns)
         # which blocks show anything, and for how long they kept still
+        every = STEP_PX // background.step_px
+        foreground = cv2.threshold(distance[::every, ::every], background.threshold, 255, cv2.THRESH_BINARY)[1]
         unexplained = foreground.copy()
-        self.clear_absorbed(image, unexplained, brightness, STEP_PX)
+        self.clear_absorbed(image, unexplained, self._brightness, STEP_PX)
         shown = self._blocks_of(unexplained) >= BLOCK_SHARE
         self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
         self._follow(samples, step_s)
@@ -152,7 +132,7 @@ class MovedThings:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
-        self._absorb(shown, image, look)
+        self._absorb(shown, image, background)
 
     # --- what keeps still
 
@@ -171,7 +151,7 @@ class MovedThings:
 
     # --- absorbing
 
-    def _absorb(self, shown: Blocks, image: Image, look: Look) -> None:
+    def _absorb(self, shown: Blocks, image: Image, background: Background) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
         rest_s = np.where(self.others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
         calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
@@ -186,22 +166,22 @@ class MovedThings:
         if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
             # a person beside the place hides a part of the outline; without her first, then bodies that may be none
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
-                if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, look):
+                if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, background):
                     self._take_over(image, blob)
                     self._gone |= blob
 
-    def _was_taken_away(self, blob: Blocks, whole: Image, look: Look) -> bool:
+    def _was_taken_away(self, blob: Blocks, whole: Image, background: Background) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
         wide, beside = (cv2.dilate(blob.astype(np.uint8), np.ones((side, side), np.uint8)) for side in (5, 3))
         left, top, width, height = cv2.boundingRect(self._to_pixels(wide))
-        bottom, right = top + height, left + width
-        part = slice(top, bottom), slice(left, right)
-        near = self._to_pixels(beside)[part] > 0
-        background, foreground = look(whole, (top, left, bottom, right))
-        image = whole[part]
-        self.clear_absorbed(whole, foreground, self._brightness, box=(top, left, bottom, right))
+        box = top, left, top + height, left + width
+        part = slice(top, top + height), slice(left, left + width)
+        image, near = whole[part], self._to_pixels(beside)[part] > 0
+        expected, (distance, _) = background.look(whole, box, np.tile([0, width], (height, 1)))
+        foreground = cv2.threshold(distance, background.threshold, 255, cv2.THRESH_BINARY)[1]
+        self.clear_absorbed(whole, foreground, self._brightness, box=box)
         own = np.where(near, foreground, np.uint8(0))
-        if not was_taken_away(own, foreground, image, background, self._noise):
+        if not was_taken_away(own, foreground, image, expected, self._noise):
             return False
         nobody = (self.others.unseen_s[blob] >= REST_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)

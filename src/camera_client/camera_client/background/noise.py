@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
-from .kernels import HALF_MEDIAN, USUAL_S, WITHIN_NOISE
+from ..sources.frame_checks import WHITE_LEVEL
+from .kernels import HALF_MEDIAN, HIGHEST, STEP_PX, USUAL_S, WITHIN_NOISE
+from .light import Light
 from .model import NOISIEST, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
@@ -28,11 +30,13 @@ FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # of a normal distribution so much lies within so many; codecs change whole blocks
 TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
 MOST_TAIL = 2.5
+NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
 
 GREY_POWER = sum(weight**2 for weight in (0.299, 0.587, 0.114))  # of a brightness, by BT.601
 
 Floats = npt.NDArray[np.floating]
+Pixels = npt.NDArray[np.intp]
 
 
 class Noise(NamedTuple):
@@ -63,6 +67,11 @@ class Noise(NamedTuple):
         """Return the standard deviation at a grey level, the channels together."""
         return math.sqrt((sum(self.read.tolist()) + level * sum(self.slope.tolist())) / len(self.read))
 
+    @property
+    def typical_sigma(self) -> float:
+        """Its standard deviation at a middle grey level."""
+        return self.sigma(HIGHEST / 2)
+
     def moved(self, target: Noise, share: float) -> Noise:
         """Return the noise moved by ``share`` of the way to ``target``."""
         return Noise(
@@ -84,7 +93,7 @@ def assumed_noise(sigma: float, channels: int) -> Noise:
 
 def learned_noise(model: BackgroundModel) -> Noise:
     """Return the noise that the frames of the empty room showed."""
-    channels = 1 if model.mean.ndim == 2 else model.mean.shape[2]
+    channels = model.channels
     every = max(1, model.mean.size // channels // 20000)
     level = model.mean.reshape(-1, channels)[::every].astype(float)
     variance = model.sigma.reshape(-1, channels)[::every].astype(float) ** 2
@@ -130,6 +139,57 @@ def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float
     return np.clip(read + QUANTISATION, LEAST_VARIANCE, MOST_VARIANCE), slope
 
 
+def samples_index(row: Pixels, column: Pixels, width: int) -> Pixels:
+    """Return the index of pixels in even rows and columns of a picture of this width among its samples."""
+    return row // STEP_PX * -(-width // STEP_PX) + column // STEP_PX
+
+
+class NoiseEstimator:
+    """Measures the noise on what shows the background; it is never less than when the room was empty.
+
+    noise : now. learned : of the empty room, None where it was assumed, not measured.
+    """
+
+    def __init__(self, model: BackgroundModel, sigma_floor: float, row: Pixels, column: Pixels) -> None:
+        """``row``, ``column`` (n,) : of the pixels that are measured, even. sigma_floor : grey levels."""
+        self.learned = learned_noise(model) if model.provenance.frames > 1 else None
+        self.noise = self.learned or assumed_noise(model.provenance.mean_noise, model.channels)
+        self._least = self.learned or assumed_noise(sigma_floor, model.channels)
+        self._at = samples_index(row, column, model.shape[1])
+        self._correlation, self._since_s = NoiseCorrelationMeter(row, column, model.shape[1]), 0.0
+
+    def update(
+        self,
+        samples: npt.NDArray[np.uint8],
+        expected: Floats,
+        light: Light,
+        rest: Floats,
+        doubted: npt.NDArray[np.uint8] | None,
+        step_s: float,
+    ) -> None:
+        """Take a frame, ``step_s`` after the one before.
+
+        samples (C, h, w) : of it; expected (C, h w) : their levels, without the light's gain and offset. rest (n, C) :
+        by how much the measured pixels differ. doubted (n,) : 0 where they show the background, None while nothing is
+        known of the foreground.
+        """
+        self._since_s += step_s
+        if self._since_s < (NOISE_S if self._correlation.known else NOISE_S / 3):
+            return
+        level = expected[:, self._at].T * light.gain
+        sure = np.asarray((level + rest < WHITE_LEVEL).all(axis=1))
+        if doubted is not None:
+            sure &= doubted == 0
+        spatial = self._correlation.update(samples, expected, light, sure, self._since_s)
+        found = measured_noise(level[sure], rest[sure], foreground_known=doubted is not None)
+        if found is None:
+            return
+        found = found.at_least(self._least, float(np.median(level[sure])))
+        share = 1 - math.exp(-self._since_s / USUAL_S)
+        self.noise = self.noise.moved(found, share)._replace(spatial_correlation=spatial)
+        self._since_s = 0.0
+
+
 # --- how coarse it is: a sensor's noise is as fine as its pixels, a codec's as coarse as its blocks
 
 # Thresholds: NEAR_PX, FAR_PX from demosaicing and the blocks of codecs; else measured by python bench/rooms.py.
@@ -144,21 +204,24 @@ OPPONENT = np.array([[1 / 3, 1, 0], [1 / 3, -1, -1], [1 / 3, 0, 1]], np.float32)
 class NoiseCorrelationMeter:
     """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is ``known``."""
 
-    def __init__(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp], width: int) -> None:
+    def __init__(self, row: Pixels, column: Pixels, width: int) -> None:
         """Sample at ``row``, ``column`` (n,) of a picture of this width."""
-        self.row = np.stack([row] * 3)
-        self.column = np.minimum(column, width - 1 - FAR_PX) + np.array([[0], [NEAR_PX], [FAR_PX]])
+        columns = np.minimum(column, width - 1 - FAR_PX) + np.array([[0], [NEAR_PX], [FAR_PX]])
+        self._at = samples_index(row, columns, width)
         self._before: Floats | None = None
         self._sure_before = np.zeros(len(row), bool)
         self._passing: deque[float] = deque(maxlen=2)
         self.known, self.spatial_correlation = False, 0.0
 
-    def update(self, seen: Floats, rest: Floats, sure: npt.NDArray[np.bool_], step_s: float) -> float:
+    def update(
+        self, samples: npt.NDArray[np.uint8], expected: Floats, light: Light, sure: npt.NDArray[np.bool_], step_s: float
+    ) -> float:
         """Take a frame, ``step_s`` after the last one taken; return the correlation.
 
-        seen, rest (3, n, C) : grey levels at ``row``, ``column`` (3, n), and by how much they differ from the
-        background. sure (n,) : which samples show the background.
+        samples, expected : of :meth:`NoiseEstimator.update`. sure (n,) : which pixels show the background.
         """
+        seen = samples.reshape(len(samples), -1).T[self._at].astype(np.float32)
+        rest = seen - expected.T[self._at] * light.gain - light.offset
         before, both = self._before, sure & self._sure_before
         self._before, self._sure_before = seen, sure
         if before is None:

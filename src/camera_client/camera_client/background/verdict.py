@@ -18,11 +18,11 @@ from capture_rig.verdict import Finding, Verdict, judge
 
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
-from .adaptive import AdaptiveBackground, samples_of
+from .adaptive import AdaptiveBackground
 from .causes import find_causes
+from .expected_image import samples_of
 from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance
-from .moved_things import BLOCK_PX
 
 # Thresholds: chosen with the rooms of test_camera_background_verdict.py.
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
@@ -108,7 +108,7 @@ def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[Ima
     if model.shape != before.shape:
         return []
     frame = np.rint(model.mean).astype(np.uint8)
-    samples, background = samples_of(frame), AdaptiveBackground(before, BackgroundSettings(), BLOCK_PX)
+    samples, background = samples_of(frame), AdaptiveBackground(before, BackgroundSettings())
     background.follow(frame, samples, 0)
     foreground = (background.distance(frame, samples) > background.threshold).astype(np.uint8)
     side = max(2 * round(THIN_OF_HEIGHT * len(foreground) / 2) + 1, 3)

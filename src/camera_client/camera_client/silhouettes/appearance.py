@@ -20,9 +20,9 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 from capture_rig.stamps import StampThrottle
 
 from ..background.expected_image import Samples
-from ..background.kernels import OPTIONS, SCALE, STEP_PX, USUAL_S
+from ..background.kernels import BLOCK_PX, OPTIONS, SCALE, STEP_PX, USUAL_S
 from ..frame_source import REPORT_PERIOD_S, Image, Mask
-from .masks import BLOCK_PX, Box
+from .masks import Box
 
 BITS_MONO, BITS_COLOUR = 6, 5  # of each channel, in the histogram
 # Thresholds: DARK from a sensor's shot and read noise; else judgement.

@@ -22,7 +22,7 @@ from capture_rig.kernel import njit
 from ..background.kernels import OPTIONS, SCALE
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
-from .masks import Box, Spans
+from .masks import Spans
 
 # Thresholds: the threshold itself follows from the likelihood ratio; else measured by python bench/rooms.py.
 REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a forearm
@@ -38,23 +38,21 @@ STEPS_PER_SIGMA = 8.0
 class Scene:
     """A part of a frame, and what the background looks like there now.
 
-    image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
-    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
-    codec_sigma (h, w) float32 : standard deviation of a codec's errors, None without one.
+    image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; change (h, w) uint8 : whole grey levels between
+    them in the channel that differs most. noise : of a pixel. at : rows and columns of the part, which begins at
+    multiples of the tests' ``alignment_px`` and ends there or where the image ends.
     """
 
     image: Image
     expected: npt.NDArray[np.float32]
+    change: Mask
     noise: Noise
     at: tuple[slice, slice]
-    codec_sigma: npt.NDArray[np.float32] | None = None
 
-    def part(self, box: Box) -> Scene:
-        """Return a part of it; ``box`` counts from its own corner."""
-        top, left = self.at[0].start, self.at[1].start
-        at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
-        codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
-        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
+    @cached_property
+    def codec_sigma(self) -> npt.NDArray[np.float32] | None:
+        """Standard deviation (h, w) of a codec's errors, None without one."""
+        return codec_error_sigma(self.change, self.noise)
 
     @cached_property
     def sigma(self) -> float:
@@ -88,11 +86,11 @@ class EvidenceFilter:
         first = reach * math.sqrt(3) * 2 ** (PASSES - 1) / math.sqrt(4**PASSES - 1)
         self._table = np.exp(-math.sqrt(2) * length / first).astype(np.float32)
 
-    def decide(self, distance: Mask, change: Mask, scene: Scene, spans: Spans) -> Mask:
+    def decide(self, distance: Mask, scene: Scene, spans: Spans) -> Mask:
         """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
 
-        distance, change (h, w) uint8 : of :func:`..background.kernels.look_closely`. spans : what of each row and
-        column is looked at.
+        distance (h, w) uint8 : of :func:`..background.kernels.look_closely`. spans : what of each row and column is
+        looked at.
         """
         height, width = distance.shape
         rows, columns = spans
@@ -102,7 +100,7 @@ class EvidenceFilter:
         across, down = np.zeros((2, height, width), np.uint8)
         errors = np.zeros((0, 0), np.float32) if scene.codec_sigma is None else scene.codec_sigma
         channels = len(scene.noise.read)
-        weigh_pixels(distance, most, change, errors, channels, rows, evidence)
+        weigh_pixels(distance, most, scene.change, errors, channels, rows, evidence)
         grey = scene.grey
         steps_between(grey.image, grey.expected, np.float32(STEPS_PER_SIGMA / grey.sigma), rows, across, down)
         # what is taken over from a neighbour in the first pass; in the second, of half the reach, its square. Down and

@@ -28,8 +28,8 @@ from ..background.kernels import F32, OPTIONS, WITHIN_NOISE
 from ..background.verdict import HAND, PERSON
 from ..frame_source import Image, Mask
 from .evidence import COLOUR_SHARE, Scene
-from .masks import Box, majority
-from .texture import blocks_that_fit, halve, lose_texture, shadow_sums, sum_by_label
+from .masks import Box, enlarged, halve, majority
+from .texture import blocks_that_fit, lose_texture, shadow_sums, sum_by_label
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -55,11 +55,6 @@ HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbou
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
 LEAST_PATCH = 4 * HAND  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
 _THREE = np.ones((3, 3), np.uint8)
-_ALL_BYTES: dict[int, np.unsignedinteger] = {
-    2: np.uint16(0x0101),
-    4: np.uint32(0x01010101),
-    8: np.uint64(0x0101010101010101),
-}
 
 
 class FloorShadow:
@@ -91,17 +86,14 @@ class FloorShadow:
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
         """255 at pixels of ``mask`` (h, w) where the image, in grey, fits the shadowed floor, else 0."""
         found, looked_at = np.zeros_like(mask), cv2.bitwise_and(mask, self._floor[scene.at])
-        inner = Box.around(looked_at)
-        if not inner.empty:
-            inner = inner.grown(self._block, mask.shape, self._block)
-            at = inner.slices
-            grey = scene.grey
-            found[at] = self._patches(grey.part(inner), mask[at], looked_at[at], grey.sigma)
+        box, grey = Box.around(looked_at), scene.grey
+        if not box.empty:
+            at = box.grown(self._block, mask.shape, self._block).slices
+            found[at] = self._patches(grey.image[at], grey.expected[at], mask[at], looked_at[at], grey.sigma)
         return found
 
-    def _patches(self, scene: Scene, mask: Mask, looked_at: Mask, sigma: float) -> Mask:
-        sides, limits = (self._window, self._block), (FLOOR_DARKEST, LIGHTEST)
-        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, *limits)
+    def _patches(self, image: Image, expected: np.ndarray, mask: Mask, looked_at: Mask, sigma: float) -> Mask:
+        dark, sums = shadow_sums(image, expected, looked_at, self._window, self._block, FLOOR_DARKEST, LIGHTEST)
         found, blocks = np.zeros_like(mask), self._large_patches(sigma, sums)
         box = Box.around(blocks)
         if box.empty:
@@ -113,7 +105,7 @@ class FloorShadow:
         patches = cv2.bitwise_and(enlarged(blocks, self._block, shape), candidates)
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
         patches = cv2.bitwise_or(patches, self._borders(patches, candidates, mask[part]))
-        rims = self._rims(scene.image[part], scene.expected[part], patches, looked_at, sigma)
+        rims = self._rims(image[part], expected[part], patches, looked_at, sigma)
         found[part] = cv2.bitwise_or(patches, rims)
         return found
 
@@ -150,15 +142,6 @@ class FloorShadow:
         rest = cv2.subtract(mask, patches)
         thin = cv2.subtract(rest, cv2.morphologyEx(rest, cv2.MORPH_OPEN, self._border))
         return cv2.bitwise_and(cv2.bitwise_and(thin, candidates), cv2.dilate(patches, self._border))
-
-
-def enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
-    """Return each pixel repeated both ways, cut to ``shape``. (A sixth of the time of OpenCV's nearest neighbour.)"""
-    if times in _ALL_BYTES:
-        wide = np.multiply(small, _ALL_BYTES[times], dtype=_ALL_BYTES[times].dtype).view(np.uint8)
-    else:
-        wide = np.repeat(small, times, axis=1)
-    return np.ascontiguousarray(np.repeat(wide, times, axis=0)[: shape[0], : shape[1]])
 
 
 def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: float = 0.0) -> Mask:

@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from capture_rig.kernel import njit
 
 from ..background.kernels import F32, OPTIONS
-
-
-def halve(image: np.ndarray) -> np.ndarray:
-    """The image at half its size (rounded up), each pixel the mean of the four it covers; odd sides are continued."""
-    down, right = image.shape[0] % 2, image.shape[1] % 2
-    if down or right:
-        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
-    return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
 
 
 @njit(**OPTIONS, crops=True)

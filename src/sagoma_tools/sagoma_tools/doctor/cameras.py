@@ -225,7 +225,7 @@ def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[i
         return model.shape, model
     with contextlib.closing(open_footage(path)) as reader:
         shape = reader.probe()
-    return shape, read_background(path, shape, settings.background_model)
+    return shape, read_background(path, shape)
 
 
 def sent_beside(file: CameraFile, link: Interface) -> dict[str, float]:

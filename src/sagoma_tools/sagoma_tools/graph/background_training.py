@@ -6,6 +6,7 @@ response is therefore replaced by the report.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -98,8 +99,14 @@ def train_backgrounds(
 
     requests = {name: Trigger.Request() for name in names}
     replies = call_all(node, Trigger, requests, timeout_s, unknown, suffix=f"/{SERVICE}")
-    answered = [name for name in names if replies[name] is not None]
-    diagnostics.wait_until(lambda: all(map(new_report, answered)), ANSWER_S)
+    answered, replied_s = [name for name in names if replies[name] is not None], time.monotonic()
+
+    def is_known(name: str) -> bool:
+        status = diagnostics.report(name)
+        refused = not replies[name].success and status is not None and status.heard_s > replied_s
+        return refused or new_report(name) is not None  # a report is published before the response, a refusal has none
+
+    diagnostics.wait_until(lambda: all(map(is_known, answered)), ANSWER_S)
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
 
     def outcome(name: str) -> TrainingOutcome:

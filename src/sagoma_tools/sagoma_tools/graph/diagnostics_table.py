@@ -19,9 +19,11 @@ from sagoma_ros.health import PERIOD_S
 from sagoma_ros.messages import to_ns, values_of
 
 from ..console import plain_table
+from .ros_link import is_camera
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3 * PERIOD_S
+LATENCY = "latency_p50_ms"
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
 LOSS_WORDS = (*_LOSSES.split(), "control_losses")
 COUNT = re.compile(r"[0-9]{1,18}")
@@ -87,10 +89,17 @@ class DiagnosticsTable:
         with self._heard:
             for status in message.status:
                 values = values_of(status)
+                if not is_camera(status.name) and not self._ages_are_latencies():
+                    values = {key: value for key, value in values.items() if not key.startswith("latency")}
                 before = self._reports.get(status.name)
                 most_s = lead_s if before is None else max(before.lead_s, lead_s)
                 self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, most_s)
             self._heard.notify_all()
+
+    def _ages_are_latencies(self) -> bool:
+        """Return whether a camera reports a latency: those that play footage slower than its stamps do not."""
+        cameras = [report.values for name, report in self._reports.items() if is_camera(name)]
+        return not cameras or any(LATENCY in values for values in cameras)
 
 
 def _row(state: str, report: NodeReport | None, now_s: float) -> tuple[str | Text, ...]:
@@ -102,4 +111,4 @@ def _row(state: str, report: NodeReport | None, now_s: float) -> tuple[str | Tex
     says = Text(report.message, style=LEVEL_STYLE.get(report.level, "red"))
     if silence_s > STALE_S:
         says = Text(f"silent for {silence_s:.0f} s", style="red")
-    return state, values.get("rate_hz", ""), values.get("latency_p50_ms", ""), values.get("rss_mb", ""), losses, says
+    return state, values.get("rate_hz", ""), values.get(LATENCY, ""), values.get("rss_mb", ""), losses, says

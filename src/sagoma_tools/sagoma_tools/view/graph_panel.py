@@ -21,7 +21,7 @@ from motion_export.motion import point_deviations
 from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph import ROUND_S
-from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
+from ..graph.diagnostics_table import LATENCY, STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
@@ -227,8 +227,7 @@ def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
 
 GREEN, AMBER, RED, GREY = "#3cbe5a", "#f0aa1e", "#e5484d", "#868e96"
 COLOURS = {DiagnosticStatus.OK: GREEN, DiagnosticStatus.WARN: AMBER, DiagnosticStatus.ERROR: RED}
-RATE, AGE = "rate_hz", "latency_p50_ms"
-"""Of the diagnostics: results a second, and how old they are (median)."""
+RATE = "rate_hz"  # of the diagnostics: results a second
 SILENT = (
     "no word since {} ({:.0f} s): its process has ended, or its computer or network is down; see its log, and start it "
     "again"
@@ -255,7 +254,7 @@ def _condition(report: NodeReport | None, now_s: float) -> tuple[str, str, str]:
         since = time.strftime("%H:%M:%S", time.localtime(time.time() - silent_s))
         return RED, "", SILENT.format(since, silent_s)
     figures = [f"{report.values[RATE]} Hz"] if RATE in report.values else []
-    figures += [f"{report.values[AGE]} ms old"] if AGE in report.values else []
+    figures += [f"{report.values[LATENCY]} ms old"] if LATENCY in report.values else []
     figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
     return COLOURS.get(report.level, RED), ", ".join(figures), report.message
 
