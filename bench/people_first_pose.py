@@ -1,11 +1,4 @@
-"""What the T-pose tells: limb lengths against the truth, sets needed, what is taken back to front.
-
-    python bench/acquisition.py [SESSION ...] [--quick]
-
-For every session that begins with a T-pose, from exact and from segmented silhouettes, and for people of random
-stature, proportions, build, place and heading in the virtual studio, with six and with three cameras. A row of the
-table is one input; a cell is the error of a size in mm (of many people: mean and rms). The last line is JSON.
-"""
+"""What the T-pose tells: limb lengths against the truth, sets needed, what is taken back to front."""
 
 from __future__ import annotations
 
@@ -14,13 +7,13 @@ from dataclasses import asdict
 from itertools import islice, product
 from pathlib import Path
 
-from report import Table, execute, finish, parser
+from report import Table
 
 import numpy as np
 from clips import canvas_masks, session_with_truth
 from people_sets import BUILDS as WALKERS
-from people_sets import KEPT, recorded
-from starts import Start, cut_cases, of_cut, of_studio_walk, of_walk_in
+from people_sets import recorded
+from people_starts import Start, cut_cases, of_cut, of_studio_walk, of_walk_in
 
 from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.visibility import RigVisibility
@@ -134,19 +127,18 @@ def t_pose(body: Body, rng: np.random.Generator) -> Pose:
     return Pose.from_angles(np.r_[u(-0.2, 0.2, 2), VolumetricBody(body).ankle_height - lowest], R, angles)
 
 
-def main() -> None:
-    given = parser(__doc__, quick="fewer people, exact silhouettes only")
-    given.add_argument("sessions", nargs="*", type=Path)
-    given.add_argument("--products", type=Path, default=KEPT, help="where hulls are kept, as of bench/people.py")
-    options = given.parse_args()
+def first_pose(sessions: list[Path], kept: Path, quick: bool) -> dict[str, object]:
+    """For every session that begins with a T-pose, from exact and from segmented silhouettes, and for people of random
+    stature, proportions, build, place and heading in the virtual studio, with six and with three cameras. A row of the
+    table is one input; a cell is the error of a size in mm (of many people: mean and rms).
+    """
     results: dict[str, dict[str, object]] = {}
-    for folder in options.sessions:
+    for folder in sessions:
         session = session_with_truth(folder)
-        for exact in (True,) if options.quick else (True, False):
+        for exact in (True,) if quick else (True, False):
             results[f"{folder.name}, {'exact' if exact else 'own'} silhouettes"] = of_session(session, exact)
     for cameras, ceiling in ((5, True), (3, False)):
-        name = f"studio, {cameras + ceiling} cameras"
-        results[name] = of_people(cameras, ceiling, 10 if options.quick else 60)
+        results[f"studio, {cameras + ceiling} cameras"] = of_people(cameras, ceiling, 10 if quick else 60)
     table = Table({"input": "<30", "figure": "<10", **{name[:9]: ">9.4g" for name in SIZES}})
     for name, result in results.items():
         for key in ("sizes_mm", "mean_mm", "rms_mm", "rms_over_sd"):
@@ -154,8 +146,7 @@ def main() -> None:
                 table.row(name[:30], key, *result[key])
         rest = {key: value for key, value in result.items() if not isinstance(value, list) or key == "refused"}
         print(f"{name[:30]:30} {rest}")
-    results |= of_starts(options.products, options.quick)
-    finish({"sizes": list(SIZES), **results})
+    return {"sizes": list(SIZES), **results, **of_starts(kept, quick)}
 
 
 def of_starts(products: Path, quick: bool) -> dict[str, dict[str, object]]:
@@ -181,7 +172,3 @@ def _put(table: Table, results: dict[str, dict[str, object]], name: str, start: 
     results[name] = asdict(start)
     told = start.told
     table.row(name, start.began_s, start.mean_mm, start.end_mm, start.worst_size_mm, start.worst_size, told)
-
-
-if __name__ == "__main__":
-    execute(main)

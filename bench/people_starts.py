@@ -1,4 +1,4 @@
-"""Starts without a whole T-pose: people whom a rig cuts off, and people who walk in (for bench/acquisition.py)."""
+"""Starts without a whole T-pose: people whom a rig cuts off, and people who walk in (for people_first_pose.py)."""
 
 from __future__ import annotations
 
