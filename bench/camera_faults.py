@@ -3,6 +3,8 @@
     python bench/camera_faults.py --quick      # under a minute: one built-in clip, two cameras
     python bench/camera_faults.py              # every clip, every camera: a quarter of an hour
     python bench/camera_faults.py --only walk  # clips with this in their name
+    python bench/camera_faults.py --moved [--quick]  # a camera that is moved: who notices (camera_movement.py); half an
+                                                     # hour, --quick two cameras, 1 degree and 5 cm, no recorded footage
 
 Each camera in turn is sound for a second, faulty for four, and sound again, at 60 frame sets a second. The clips are
 the virtual studio's walking person and the rendered sessions of the test data, with exact silhouettes and with ours. A
@@ -28,6 +30,7 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
+from camera_movement import movements
 from clips import Clip, canvas_masks
 from scenes import STATURE_M, STUDIO_FPS, shared_sessions, studio_masks
 
@@ -231,7 +234,11 @@ def main() -> None:
     """Print a table a clip and the line of JSON."""
     given = parser(__doc__, quick="one clip, two cameras")
     given.add_argument("--only", default="", help="play only the clips with this in their name")
+    given.add_argument("--moved", action="store_true", help="cameras that are moved, by every detector of that")
     options = given.parse_args()
+    if options.moved:
+        finish(movements(options.quick, options.only))
+        return
     played, wrong, alarms, update_ms, all_ms = [], 0, 0, [], []
     for clip in clips(options.quick, options.only):
         views, cameras = RigViews.from_rig(clip.rig), len(clip.rig.names)

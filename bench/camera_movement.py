@@ -1,8 +1,4 @@
-"""Drills of the detectors of camera movement: which one notices a moved camera, how soon, with how many false alarms?
-
-    python bench/camera_movement.py --quick        # two cameras, 1 degree and 5 cm, no recorded footage
-    python bench/camera_movement.py                # every camera, 0.5, 1 and 2 degrees, recorded footage: half an hour
-    python bench/camera_movement.py --only studio  # or a part of the name of recorded footage
+"""Drills of the detectors of camera movement (bench/camera_faults.py --moved): which one notices, how soon?
 
 Each camera of the studio in turn films a walking person from where it stands, and after three seconds from where it was
 moved to. Every frame goes through the camera client's chain, so that moved backgrounds become foreground. Columns:
@@ -16,7 +12,7 @@ system : in which any of them named it. wrong : drills in which another camera w
 kept : after the background was learned anew, the camera client still reports that the camera was moved.
 
 Then silhouettes of recorded footage, one camera's turned, 12 s each; and everything unmoved: false alarms among its
-updates. The last line is JSON: seconds are medians, *_named shares of drills, *_ms per frame or set.
+updates. Figures: seconds are medians, *_named shares of drills, *_ms per frame or set.
 """
 
 from __future__ import annotations
@@ -26,7 +22,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from report import Table, execute, finish, parser
+from report import Table
 
 import cv2
 import numpy as np
@@ -168,11 +164,11 @@ def drill(studio: Studio, unmoved: Footage, camera: str, displacement: Displacem
     return result
 
 
-def play_studio(studio: Studio, unmoved: Footage, quick: bool, every: int) -> dict[str, list[Drill]]:
+def play_studio(studio: Studio, unmoved: Footage, quick: bool) -> dict[str, list[Drill]]:
     table = Table({"movement": "<16", **dict.fromkeys(DETECTORS, ">19"), "wrong": ">6d", "kept": ">5d"})
     drills: dict[str, list[Drill]] = {}
     for displacement in displacements(quick):
-        names = studio.rig.names[::3] if quick else studio.rig.names[::every]
+        names = studio.rig.names[:: 3 if quick else 1]
         runs = [
             drill(studio, unmoved, name, displacement, 1.0 if number % 2 else -1.0) for number, name in enumerate(names)
         ]
@@ -281,21 +277,18 @@ def summary(drills: dict[str, list[Drill]]) -> dict[str, float]:
     return figures
 
 
-def main() -> None:
-    given = parser(__doc__, quick="two cameras of the studio, one size of movement")
-    given.add_argument("--only", default="", help="'studio', or a part of the name of recorded footage")
-    given.add_argument("--every", type=int, default=1, help="every so many-th camera of the studio")
-    options = given.parse_args()
+def movements(quick: bool, only: str) -> dict[str, float]:
+    """Print the tables; ``only`` : "studio", or a part of the name of recorded footage."""
     figures: dict[str, float] = {"wrong": 0}
     unmoved = FalseAlarms()
-    if options.only in "studio":
-        figures |= at_the_studio(unmoved, options.quick, options.every)
-    if not options.quick and options.only != "studio":
-        figures["wrong"] += on_footage(unmoved, options.only)
-    finish(figures | asdict(unmoved))
+    if only in "studio":
+        figures |= at_the_studio(unmoved, quick)
+    if not quick and only != "studio":
+        figures["wrong"] += on_footage(unmoved, only)
+    return figures | asdict(unmoved)
 
 
-def at_the_studio(unmoved: FalseAlarms, quick: bool, every: int) -> dict[str, float]:
+def at_the_studio(unmoved: FalseAlarms, quick: bool) -> dict[str, float]:
     studio = Studio()
     filmed = footage_of(studio)
     print(
@@ -303,7 +296,7 @@ def at_the_studio(unmoved: FalseAlarms, quick: bool, every: int) -> dict[str, fl
         f"{filmed.client_ms:.2f} ms a frame"
     )
     unmoved.false_alarms_pictures, unmoved.pictures = filmed.alarms, filmed.looks
-    drills = play_studio(studio, filmed, quick, every)
+    drills = play_studio(studio, filmed, quick)
     print()
     for name, masks in (("studio, ours", filmed.ours), ("studio, exact", filmed.exact)):
         unmoved_sets(unmoved, name, studio.rig, {}, masks, quick)
@@ -319,7 +312,3 @@ def on_footage(unmoved: FalseAlarms, only: str) -> int:
         wrong += sum(bool(run.wrong) for runs in play_clip(clip).values() for run in runs)
     unmoved_pictures(unmoved, only)
     return wrong
-
-
-if __name__ == "__main__":
-    execute(main)

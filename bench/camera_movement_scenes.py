@@ -1,4 +1,4 @@
-"""Scenes of bench/camera_movement.py: a camera of the studio that is moved while it films, and recorded silhouettes."""
+"""Scenes of camera_movement.py: a camera of the studio that is moved while it films, and recorded silhouettes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Times the hull server's core, silhouettes in to centerline points out, against other ways to carve.
 
     python bench/hull.py --quick                 # under a minute
-    python bench/hull.py [--plot FILE.png]       # 5 and 8 cameras, 40 to 5 mm, all methods (more cameras: scaling.py)
+    python bench/hull.py [--plot FILE.png]       # 5 and 8 cameras, 40 to 5 mm, all methods (more: live.py --scaling)
 
 All methods take turns on the same frames in one process; a cell is the median of its times in ms, "x" its ratio to
 ours on the CPU. A method that would take longer than --limit seconds a frame is left out of the finer grids. The scene

@@ -6,6 +6,7 @@
     python bench/live.py --processes three           # a process a node
     python bench/live.py --size 1280x1024            # clients alone: two simulated cameras of that size at 60 Hz
     python bench/live.py --overload                  # twice what it holds, then half: answered, how late, how soon over
+    python bench/live.py --scaling                   # in this process, over cameras, voxels, people (live_scaling.py)
 
 A player sends every camera's silhouette and camera_info over loopback, all of an instant at once and stamped then; the
 server is what `sagoma up` starts. Beside it the server of an older commit (--before) runs in a domain of its own, and
@@ -35,6 +36,7 @@ from report import Table, add_settings, execute, finish, machine_line, parser
 import camera
 import numpy as np
 from clips import Clip, session_clip
+from live_scaling import scaling
 from live_servers import PROCESSES, TREE, Server, running, tree_of
 from scenes import SHARED, studio_clip
 
@@ -198,13 +200,14 @@ def clients(folder: Path, domain: int, size: str, hz: float, seconds: float) -> 
 
 def arguments() -> argparse.ArgumentParser:
     """Of this bench."""
-    given = parser(__doc__, quick=f"{QUICK_S:g} s a server")
+    given = parser(__doc__, quick=f"{QUICK_S:g} s a server; with --scaling fewer sets")
     given.add_argument("--hz", type=float, default=60.0)
     given.add_argument("--cameras", type=int, default=6)
     given.add_argument("--seconds", type=float, default=60.0, help="counted time a server, all its turns together")
     given.add_argument("--turns", type=int, default=QUICK_TURNS)
     given.add_argument("--processes", choices=PROCESSES, default=next(iter(PROCESSES)), help="of this tree's server")
     given.add_argument("--overload", action="store_true", help="twice the rate that is held, instead of --hz")
+    given.add_argument("--scaling", action="store_true", help="processor time over cameras, voxels and people")
     given.add_argument(
         "--size", metavar="WxH", help=f"camera clients alone, {CLIENTS} of pictures of that size, at --hz"
     )
@@ -220,6 +223,9 @@ def arguments() -> argparse.ArgumentParser:
 def main() -> None:
     """Measure, print a row a server, and the JSON line."""
     args = arguments().parse_args()
+    if args.scaling:
+        finish(scaling(args.quick))
+        return
     settings, seconds = parse_settings(args.settings), QUICK_S if args.quick else args.seconds
     if args.size:
         with tempfile.TemporaryDirectory(prefix="sagoma_bench_live_") as own:

@@ -1,7 +1,12 @@
 """One table over everybody there is to track: test data, the studio's people, hard cases, rendered mesh people.
 
     python bench/people.py [NAME ...] [--products FOLDER] [--set NODE.PARAMETER=VALUE ...]
-    python bench/people.py --ablation | --fast | --smoothed [NAME ...]        # other tables of the same sets
+    python bench/people.py --quick                     # half a minute: one set, which is carved if it is not kept
+    python bench/people.py --ablation [NAME ...]       # what each part of tracker and filter is worth
+    python bench/people.py --doubt [NAME ...]          # whether doubt is right
+    python bench/people.py --makers [NAME ...]         # other makers' people, by maker and rig
+    python bench/people.py --fast | --smoothed [NAME ...]
+    python bench/people.py --first-pose [SESSION ...]  # what a T-pose tells; people cut off, people who walk in
 
 Tracks every set (those with a NAME in theirs) with automatic start and default settings: each session of the test data
 with its own silhouettes and, as _exact, with exact ones; the studio's tour by five people and its hard cases; scenes of
@@ -16,7 +21,8 @@ of errors inside the track's own 95 % ellipsoids, all and of the worst point; pr
 (with the start, and compiled code that is loaded in the first sets); identity switches and tracks of nobody where there
 are several persons (all persons' together; below, each person's mean error and ms a set by the number of persons). A
 second table holds the covariances point by point over all sets. The last line is JSON.
-What is called doubtful: `bench/doubt.py`.
+Each study says in its module what its columns are: people_ablation.py, people_doubt.py, people_makers.py,
+people_studies.py, people_first_pose.py.
 """
 
 from __future__ import annotations
@@ -30,8 +36,12 @@ from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
 from clips import Recorded
+from people_ablation import ablation
+from people_doubt import doubt
+from people_first_pose import first_pose
+from people_makers import makers
 from people_sets import KEPT, Followed, followed, recorded
-from people_studies import ablation, fast_motion, smoothed
+from people_studies import fast_motion, smoothed
 from scenes import inside_volume
 
 from capture_rig.session import Truth
@@ -43,6 +53,7 @@ from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES
 
 BAD_MM = 1e3 * metrics.LARGE_ERROR_M
+QUICK = "studio_arm_on_chest"  # the set of --quick
 COLUMNS = 10  # of the table; a row of figures holds more
 
 
@@ -139,21 +150,33 @@ def _mean(values: np.ndarray) -> float | None:
 
 def main() -> None:
     """Print the table and the line of JSON."""
-    given = parser(__doc__)
-    given.add_argument("names", nargs="*", help="parts of names of sets; default: all")
+    given = parser(__doc__, quick="one set; with --first-pose fewer people, exact silhouettes only")
+    given.add_argument("names", nargs="*", help="patterns in names of sets (walk_ring5top$); of --first-pose: sessions")
     given.add_argument("--products", type=Path, default=KEPT, help="where hulls are kept, and mesh people lie")
-    given.add_argument("--ablation", action="store_true", help="what each part of the tracker is worth, set by set")
-    given.add_argument("--fast", action="store_true", help="error and lag of hands and feet, by their speed")
-    given.add_argument("--smoothed", action="store_true", help="filter and smoother beside each other")
+    study = given.add_mutually_exclusive_group()
+    study.add_argument("--ablation", action="store_true", help="what each part of the tracker is worth, set by set")
+    study.add_argument("--doubt", action="store_true", help="wrong limbs that are called, clear ones that are not")
+    study.add_argument("--makers", action="store_true", help="people of several makers, by maker and rig")
+    study.add_argument("--fast", action="store_true", help="error and lag of hands and feet, by their speed")
+    study.add_argument("--smoothed", action="store_true", help="filter and smoother beside each other")
+    study.add_argument("--first-pose", action="store_true", help="what the T-pose tells, and starts without one")
+    given.add_argument("--offsets", action="store_true", help="with --makers: where their joints lie from the track's")
     add_settings(given)
-    arguments = given.parse_args()
-    settings = parse_settings(arguments.settings)
-    chosen = recorded(arguments.products, arguments.names)
-    if arguments.ablation:
+    asked = given.parse_args()
+    settings = parse_settings(asked.settings)
+    if asked.first_pose:
+        finish(first_pose([Path(name) for name in asked.names], asked.products, asked.quick))
+        return
+    chosen = recorded(asked.products, asked.names or ([QUICK] if asked.quick else []))
+    if asked.ablation:
         finish(ablation(chosen))
-    elif arguments.fast:
+    elif asked.doubt:
+        finish(doubt(chosen, settings))
+    elif asked.makers:
+        finish(makers(chosen, settings, asked.offsets))
+    elif asked.fast:
         finish(fast_motion(chosen, settings))
-    elif arguments.smoothed:
+    elif asked.smoothed:
         finish(smoothed(chosen, settings))
     else:
         finish(whole_table(chosen, settings))

@@ -1,7 +1,8 @@
-"""The sets of bench/people.py, doubt.py and families.py: clips of people, carved once and kept; tracks them."""
+"""The sets of bench/people.py: clips of people, carved once and kept; tracks them."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -12,6 +13,7 @@ import numpy as np
 from clips import Clip, Recorded, load, session_clip
 from scenes import SHARED, studio_clip, together_clip
 
+from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
 from sagoma_tools.evaluation.track import Track
@@ -53,11 +55,11 @@ def sets() -> Iterator[tuple[str, Callable[[], Clip]]]:
 
 
 def recorded(folder: Path, only: list[str]) -> Iterator[Recorded]:
-    """The sets chosen: those kept in the folder, the others made and kept."""
+    """The sets with one of the patterns ``only`` in their names: those kept in the folder, the others made and kept."""
     makers = dict(sets())
     kept = {path.stem for path in folder.glob("*.pkl")}
     for name in [*makers, *sorted(kept - set(makers))]:
-        if only and not any(part in name for part in only):
+        if only and not any(re.search(part, name) for part in only):
             continue
         path = folder / f"{name}.pkl"
         if name not in kept:
@@ -68,6 +70,16 @@ def recorded(folder: Path, only: list[str]) -> Iterator[Recorded]:
 def follower_of(what: Recorded, settings: dict[str, Any]) -> TrackingStage:
     """Tracker and filter for a set, from its first frame on."""
     return TrackingStage.of(Configuration.of({"hull_server.backend": "cpu", **what.start, **settings}), what.rig)
+
+
+States = list[tuple[int, BodyState, tuple[float, ...]]]
+"""Frame, the first person's filtered state, and the log odds that each part of the body is elsewhere or unseen."""
+
+
+def states_of(what: Recorded, follower: TrackingStage) -> States:
+    """Track the first person of a set, in the frames that have a state."""
+    steps = enumerate(map(follower.step, what.products[: len(what.truths[0])]))
+    return [(frame, step.state, step.fit.quality.log_odds) for frame, step in steps if step.state is not None]
 
 
 class Followed(NamedTuple):

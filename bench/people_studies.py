@@ -1,11 +1,8 @@
-"""Studies of bench/people.py on its sets: what each part of the tracker is worth, fast hands and feet, the smoother."""
+"""Studies of bench/people.py on its sets: fast hands and feet, the smoother."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from functools import reduce
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 from report import Table
@@ -14,88 +11,19 @@ import numpy as np
 from clips import Recorded
 from people_sets import follower_of
 
-from capture_rig.session import Truth
 from ekf_tracker.smoother import Set, smooth
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import TrackingStage
-from sagoma_tools.evaluation.in_process import OURS, ablation_rows
-from sagoma_tools.evaluation.scores import INSIDE_95, Scores, nees_of, score, share_below
-from sagoma_tools.evaluation.track import Track
+from sagoma_tools.evaluation.scores import INSIDE_95, nees_of, share_below
 from stick_figure.skeleton import POINT_NAMES
 
-CHANGES: dict[str, dict[str, object]] = {
-    "ours without the hull's surface": {"icp.articulated.volume.weight": 0.0},
-    "ours without contour rays": {"icp.articulated.contour.weight": 0.0},
-    "ours without the search for better poses": {"icp.recovery.search": False},
-    "ours without refined sizes": {"icp.refinement.keyframes": 0},
-    "ours, trunk, hands and feet rigid, joints of the figure": {"icp.articulated.contour.rigid": True, "ekf.bend": 0.0},
-    "ours, loose prior": {"icp.articulated.prior": 4.0},
-    "ours, identity model": {"ekf.motion_model": "identity"},
-    "ours, every error new in every set": {"ekf.measurement_bias.share": 0.0},
-    "ours, joints known for certain": {"ekf.measurement_bias.joints": 0.0},
-}
-"""Row to fields of the configuration; not all of them are parameters."""
-KEYS = ("mean_mm", "over_200mm", "inside_95")
 TIPS = [POINT_NAMES.index(name) for name in ("left_hand", "right_hand", "left_foot", "right_foot")]
 BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 30.0))  # speeds, m/s
 FAST_M_S = 5.0
 FEWEST = 10  # of a band that is shown
 JUMP_M = 0.1  # a larger third difference is a limb that was found again, and no jitter
 FIGURES = ("mean_mm", "jitter_mm", "inside_95", "worst_point_inside_95")
-
-
-def ablation(sets: Iterable[Recorded]) -> dict[str, Any]:
-    """From the thesis's method to ours, a part more in each row, then rows that take one away from ours or change it.
-
-    A cell is the mean error of the 15 points in mm / the share of frames with a point more than 200 mm off / the share
-    of point errors inside the track's own 95 % ellipsoid, of a set's first person.
-    """
-    columns = {what.name: scores_of(what) for what in sets}
-    shown = Table({"mm / over 200 mm / inside 95 %": "", **dict.fromkeys(columns, "")}, markdown=True)
-    table: dict[str, dict[str, dict[str, float] | None]] = {}
-    for row in [*ablation_rows({}), *CHANGES]:
-        found = {name: column[row] for name, column in columns.items()}
-        shown.row(row, *(_cell(scores) for scores in found.values()))
-        table[row] = {
-            name: scores and {key: round(float(scores.overall[key]), 4) for key in KEYS}
-            for name, scores in found.items()
-        }
-    return table
-
-
-def rows_of(start: Mapping[str, Any]) -> dict[str, Configuration]:
-    """Every row's configuration, ours first."""
-    rows = ablation_rows({**start, "hull_server.backend": "cpu"})
-    rows |= {name: reduce(with_field, change.items(), rows[OURS]) for name, change in CHANGES.items()}
-    return {OURS: rows[OURS]} | rows
-
-
-def with_field(whole: Any, change: tuple[str, object]) -> Any:
-    """A nested dataclass with one field changed, by its dotted name."""
-    name, _, rest = change[0].partition(".")
-    return replace(whole, **{name: with_field(getattr(whole, name), (rest, change[1])) if rest else change[1]})
-
-
-def scores_of(what: Recorded) -> dict[str, Scores | None]:
-    """Every row's scores on the hulls of a set; None where it found no body."""
-    known = np.flatnonzero(np.isfinite(what.truths[0]).any(axis=(1, 2)))
-    truth, found = Truth(known, what.truths[0][known], None, 1.0, Path(what.name)), {}
-    for name, configuration in rows_of(what.start).items():
-        follower, rows = TrackingStage.of(configuration, what.rig), []
-        for frame, products in enumerate(what.products):
-            state = follower.step(products).state
-            if state is not None:
-                rows.append((frame, state))
-        found[name] = score(Track.of_states(rows), truth) if rows else None
-    return found
-
-
-def _cell(scores: Scores | None) -> str:
-    """A cell of the table."""
-    shown = "{mean_mm:.1f} / {over_200mm:.2f} / {inside_95:.2f}"
-    return "no body" if scores is None else shown.format(**scores.overall)
 
 
 def fast_motion(sets: Iterable[Recorded], settings: dict[str, Any]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Recovery drills: break a track on purpose, and measure the time until it is good again.
 
+    python bench/recovery.py --quick                 # a minute
     python bench/recovery.py [SESSION ...] [--exact] [--motion NAME ...] [--moments N] [--set NODE.PARAMETER=VALUE]
 
 Each drill disturbs a running track once, or at each of N moments of the clip, each in a run of its own: 1 s of blank
@@ -292,13 +293,15 @@ def _seconds(value: float | None) -> str:
 
 def main() -> None:
     """Print the table and the line of JSON."""
-    given = parser(__doc__)
+    given = parser(__doc__, quick="the studio's walk alone, each drill once")
     given.add_argument("sessions", nargs="*", type=Path, help="session folders with a reference")
     given.add_argument("--exact", action="store_true", help="the sessions' exact silhouettes, not their footage")
     given.add_argument("--motion", nargs="*", default=["tour", "walk"], help="motions of the virtual studio")
     given.add_argument("--moments", type=int, default=1, help="how often each drill is held, at as many moments")
     add_settings(given)
     arguments = given.parse_args()
+    if arguments.quick:
+        arguments.motion, arguments.sessions, arguments.moments = ["walk"], [], 1
     settings = parse_settings(arguments.settings)
     motions = {name: moved(name, settings) for name in MOTION_DRILLS} if arguments.motion else {}
     clips = [studio_clip(motion, MOTION_S) for motion in arguments.motion]

@@ -5,8 +5,8 @@
         OUT [NAME ...]
 
 writes OUT/products/avatar_NAME.pkl and OUT/clips/avatar_NAME.pkl as `models/mesh_people.py` does; then
-`python bench/families.py --products OUT/products` prints a table by family and rig, `bench/people.py` and
-`bench/doubt.py` read them as they read other sets. NAME is FAMILY_BODY_CLIP_RIG or part of one. GLB holds the avatars,
+`python bench/people.py --makers --products OUT/products` prints a table by family and rig; the other tables of
+`bench/people.py` read them as they read other sets. NAME is FAMILY_BODY_CLIP_RIG or part of one. GLB holds the avatars,
 which are fetched and converted by hand, and are no part of this repository:
 
 - valid: the Validated Avatar Library for Inclusion and Diversity (MIT; github.com/c-frame/valid-avatars-glb, converted

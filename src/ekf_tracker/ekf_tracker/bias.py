@@ -73,8 +73,7 @@ JOINT_SD_M = np.array(
 )
 """(15, 3) standard deviations, m, in the order of `stick_figure.skeleton.POINT_NAMES`."""
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
-# SESSION.
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation.
 FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid torso does
 FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2
 RIGID = 6

@@ -38,7 +38,7 @@ from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 from stick_figure.trunk_bend import with_joint_centres
 
-# Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
+# Thresholds: the former chosen with python bench/people.py --ablation, in steps of about a half, the last
 # four with covariance_coverage.py among the benches of commit d6079d2.
 # of the fit; checked by bench/people.py --ablation on rendered and real sessions
 POINT_GATE_M = 0.08  # distance at which a centerline point's weight has fallen to 1/4
@@ -46,7 +46,7 @@ STICK_SD_M = 0.03  # of a perfect centerline point from its stick: a body is no 
 TOLERANCE_M = 0.002  # converged when an iteration moves no reference point farther than this
 SURFACE_SAMPLES, HULL_SAMPLES = 1000, 1000  # voxels of the surface, and with the interior, that stand for the hull
 RAYS = 1200  # contour rays that are used
-# of what is known without data; twice and three times as wide loses arms of stylised people (bench/families.py)
+# of what is known without data; twice and three times as wide loses arms of stylised people (people.py --makers)
 POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
 UNSEEN_SD = 0.5  # m, rad, of what no row bears on, about a joint's free range to either side: a forearm's 15 cm

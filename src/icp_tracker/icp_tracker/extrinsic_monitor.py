@@ -32,7 +32,7 @@ from .refinement.trunk_bend import RAYS_OF_A_DATUM
 Array = npt.NDArray[np.float64]
 
 # Thresholds: chosen with recordings of rendered people of four makers, two real rooms, and cameras turned by 0.5 and 1
-# degree, pushed by 5 cm (bench/camera_movement.py).
+# degree, pushed by 5 cm (bench/camera_faults.py --moved).
 PERIOD_S, LONGEST_S = 0.1, 0.5  # from one set that is measured to the next; and what one counts for at most
 MEMORY_S = 20.0  # of what was measured
 BLOCK_S = 1.0  # errors of two blocks are independent

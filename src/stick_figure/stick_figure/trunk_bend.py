@@ -39,8 +39,7 @@ from .skeleton import HEAD, L_THIGH, L_UPPER_ARM, POINT_NAMES, R_THIGH, R_UPPER_
 
 PELVIS_YAW, PELVIS_ROLL, LEFT_X, LEFT_Z, RIGHT_X, RIGHT_Z, FLEXION = range(BEND_NUMBERS)
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
-# SESSION.
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation.
 REST_SD = np.array([0.15, 0.12, 0.03, 0.04, 0.03, 0.04, 0.15])
 """How far they are from rest in daily movement: rad, rad, then m."""
 RATE_SD = np.array([0.8, 0.65, 0.16, 0.2, 0.16, 0.2, 0.8])

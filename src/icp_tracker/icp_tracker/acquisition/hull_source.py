@@ -47,8 +47,8 @@ from .t_pose_sizes import with_t_pose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, stance_of
 
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
-# right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
-# times: judgement.
+# right way explains); girths and their shares with walks of the studio's stout people (python bench/people.py
+# --first-pose); times: judgement.
 FEWEST_VOXELS = 200
 STARTS = 12  # natural postures that are fitted at a time
 HYPOTHESES = 5  # hypotheses that are followed

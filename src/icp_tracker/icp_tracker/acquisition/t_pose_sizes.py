@@ -26,7 +26,7 @@ from .body_sizes import (
     BodyEstimate,
 )
 
-# Over the stature: thresholds measured by python bench/acquisition.py (rms against claimed standard deviation).
+# Over the stature: thresholds measured by python bench/people.py --first-pose (rms against claimed standard deviation).
 SHOWN_SD = 0.009  # by which a sum that the hull shows errs
 ARMS_FROM, INNER_TO = 0.20, 0.32  # from the spine only arms are left; from there on to the elbow
 NEAR_LINE = 0.05  # ahead of the arm's line, or behind

@@ -15,7 +15,7 @@ from stick_figure.body import TYPICAL_STATURE_M
 
 FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right hand", "body"
 
-# Thresholds: measured by python bench/acquisition.py (what is refused, what is started wrongly).
+# Thresholds: measured by python bench/people.py --first-pose (what is refused, what is started wrongly).
 TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
 SAGGING_M, FEET_LOST_M = 0.08, 0.6  # a hull sags so far below the soles; one that ends at the knees may lack feet
 COLUMN_M = 0.23  # of the crown from the body's middle, at most

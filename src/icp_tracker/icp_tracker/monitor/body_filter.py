@@ -27,7 +27,7 @@ BODY_DOUBTFUL = 0.4  # probability of another pose of the whole body
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
 # of the contour rays, over a pose or two: what a body explains that is not the person's. It is said, nothing else: torn
 # silhouettes leave as much, beside a pose that is right. Of 73 sets of six makers' people, those with less are 0.1 m
-# wrong or more at some point half of the time; any share from 0.66 to 0.70 tells them (python bench/doubt.py)
+# wrong or more at some point half of the time; any share from 0.66 to 0.70 tells them (python bench/people.py --doubt)
 MISFIT_SHARE, MISFIT_S = 0.68, 0.3
 
 

@@ -20,10 +20,10 @@ import numpy as np
 from ..articulated_fit import LONGEST_S
 from .limb_search import LimbPlaces
 
-# Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
+# Thresholds: chosen with python bench/people.py --doubt on clothed figures before three cameras.
 MEMORY_S = LONGEST_S  # a body moves by a limb's width in it: older evidence is forgotten, newer is the same again
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
-UNFOUND_LOG_PRIOR = 2.5  # of one that it did not find: part of it hides before the body; bench/doubt.py
+UNFOUND_LOG_PRIOR = 2.5  # of one that it did not find: part of it hides before the body; people.py --doubt
 SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.50  # probability of another place, or of none

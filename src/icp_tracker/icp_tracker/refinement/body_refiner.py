@@ -26,8 +26,8 @@ from ..articulated_fit import PRIOR
 from .keyframes import Keyframes, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
 from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
-# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
-# LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
+# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation; PATIENT_S,
+# LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/people.py --first-pose).
 # checked by the studio's bodies and rendered sessions of the package's README
 TURN = 0.2  # rad, by which some joint of a different pose has turned
 EXPLAINED = 0.93  # share of the rays, in a pose that counts

@@ -22,7 +22,7 @@ from stick_figure.least_squares.placed_figure import State, place
 
 from .shape import BENT, POSE, UNKNOWNS, contour_system, figure_at
 
-# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION.
+# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation.
 GATE_M, EXPLAINED_M = 0.04, 0.06  # see `contour_system`
 FIRST_JOINT_SLOT = 6
 

@@ -19,8 +19,7 @@ from ..articulated_fit import LONGEST_S, PRIOR, ArticulatedSettings
 from .shape import FARTHEST_SD
 
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
-# SESSION.
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation.
 RAYS_OF_A_DATUM = 25.0
 """Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200
 cells of the body's surface, three of which are one datum (`independent_rows`)."""

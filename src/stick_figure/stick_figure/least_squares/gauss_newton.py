@@ -35,7 +35,7 @@ from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_point_residuals, add_surface, match_points, summarise
 
-# Thresholds: chosen with python bench/people.py --ablation SESSION, in steps of about a half.
+# Thresholds: chosen with python bench/people.py --ablation, in steps of about a half.
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
 # weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
 # to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs

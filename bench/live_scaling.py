@@ -1,6 +1,4 @@
-"""What the server costs over cameras, voxels and people.
-
-    python bench/scaling.py [--quick]
+"""What the server costs over cameras, voxels and people: a study of bench/live.py.
 
 The built-in studio's person walks before a ring of cameras and one on the ceiling, 640 x 480 at 60 Hz. Silhouettes are
 the body's, half of its pixels as dark as floor in shadow, and a shadow under the feet, so that the hull server has to
@@ -11,9 +9,7 @@ masks to the filtered pose, without middleware. Stages that are due a few times 
 Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked here, so that
 tracker and filter do not depend on their number (bench/people.py together_ measures what each person costs them).
 
-The last line is JSON:
-
-cameras_ms, voxels_ms, people_ms : {"6 cameras": mean ms of a set}, about 6 cameras, 20 mm and one person.
+Figures: cameras_ms, voxels_ms, people_ms : {"6 cameras": mean ms of a set}, about 6 cameras, 20 mm and one person;
 set_bytes_per_camera : masks on the wire.
 """
 
@@ -23,8 +19,9 @@ import time
 import types
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
-from report import Table, execute, finish, parser
+from report import Table
 
 import cv2
 import numpy as np
@@ -198,9 +195,8 @@ def show(title: str, column: str, rows: dict[int, Server]) -> None:
         table.row(value, *(server.mean_ms(stage) for stage in stages), server.set_bytes / 1e3)
 
 
-def main() -> None:
-    """Print the tables and the line of JSON."""
-    quick = parser(__doc__, quick="18 sets a configuration instead of 72, twelve cameras at most").parse_args().quick
+def scaling(quick: bool) -> dict[str, Any]:
+    """Print the tables; ``quick`` : 18 sets a configuration instead of 72, twelve cameras at most."""
     studio = Studio(WARM_UP + (18 if quick else 72))
     cameras, voxels, people = USUAL
     wanted = {
@@ -217,8 +213,4 @@ def main() -> None:
         f"{kind}_ms": {f"{n} {kind}": round(one.mean_ms("sum"), 2) for n, one in rows.items()}
         for kind, rows in found.items()
     }
-    finish({**figures, "set_bytes_per_camera": round(servers[USUAL].set_bytes / cameras)})
-
-
-if __name__ == "__main__":
-    execute(main)
+    return {**figures, "set_bytes_per_camera": round(servers[USUAL].set_bytes / cameras)}
