@@ -51,7 +51,7 @@ def anchors(page: Path) -> set[str]:
 
 def wrong_links() -> Iterator[str]:
     """Links of pages that lead to no file, or to no heading of it."""
-    for page in PAGES:
+    for page in [*PAGES, ROOT / "CHANGELOG.md"]:
         for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", read(page)):
             place = page.parent / target if target else page
             if not target.startswith(("http:", "https:")) and not (
