@@ -25,8 +25,7 @@ and examples. This page is printed from `sagoma_tools/console.py` by `python scr
 - **Messages** begin with `sagoma:`, stand on stderr, and say what is wrong, where, and the remedy. Results stand on
   stdout; `--json`, where there is one, is for programs.
 - **Numbers** are finite and within a range that the message names with its unit.
-- **Progress** stands on stderr: on a terminal in a line that goes when it is over, elsewhere as a plain line every ten
-  seconds.
+- **Progress** stands on stderr, on a terminal alone, in a line that goes when it is over.
 - **Pipes and files** get plain text without escape codes; colours only on terminals, none with `NO_COLOR` set.
 - **Width**: text is broken at that of the terminal, or of `COLUMNS`, into a file nowhere; paths and rows of tables
   never.

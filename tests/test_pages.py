@@ -26,6 +26,9 @@ CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".p
 
 
 PROGRAM = r"\b(?:bench|models|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh)\b"
+CONFIGURATION = r"\bconfig/[a-z0-9_./-]*[a-z0-9_](?![\w/])"  # CAMERA.yaml stands for any
+FILE = re.compile(r"(?:\w+/)*\w+\.(?:py|c)")
+OWN = re.compile(r"\w+(?:/|\.py)")
 
 
 def read(path: Path) -> str:
@@ -48,7 +51,7 @@ def anchors(page: Path) -> set[str]:
 
 def wrong_links() -> Iterator[str]:
     """Links of pages that lead to no file, or to no heading of it."""
-    for page in PAGES:
+    for page in [*PAGES, ROOT / "CHANGELOG.md"]:
         for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", read(page)):
             place = page.parent / target if target else page
             if not target.startswith(("http:", "https:")) and not (
@@ -68,6 +71,27 @@ def test_every_link_image_page_and_program_that_pages_and_code_name_is_there():
     programs = set(re.findall(PROGRAM, text))
     assert len(named) > 12 < len(programs)
     assert not [path for path in sorted(named | programs) if not (ROOT / path).exists()]
+
+
+def names_in_vain() -> Iterator[str]:
+    """What pages name and the tree lacks: files of config/, parts of paths of sources (``view/server.py``); of a
+    package's README also its own files and folders (``pipeline.py``, ``carving/``)."""
+    sources = [f"/{path.relative_to(ROOT)}" for folder in (*CODE, "tests") for path in (ROOT / folder).rglob("*.[cp]*")]
+    for page in PAGES:
+        text, package = read(page), page.parent
+        spans = set(re.findall(r"`([^`\n]+)`", BLOCK.sub("", text)))
+        vain = {name for name in re.findall(CONFIGURATION, text) if not (ROOT / name).exists()}
+        if package.parent == ROOT / "src":
+            own = {name for name in spans if OWN.fullmatch(name)}
+            vain |= {name for name in own if not [*package.rglob(name)] and not (ROOT / name).is_dir()}
+        named = {name for name in spans if FILE.fullmatch(name)}
+        vain |= {name for name in named if not any(path.endswith(f"/{name}") for path in sources)}
+        yield from (f"{page.relative_to(ROOT)}: {name}" for name in vain)
+
+
+def test_every_source_configuration_and_folder_that_a_page_names_is_there():
+    assert len(re.findall(CONFIGURATION, "".join(map(read, PAGES)))) > 10
+    assert [*names_in_vain()] == []
 
 
 # --- reference pages
@@ -147,7 +171,7 @@ def test_every_requirement_has_a_row_with_its_licence_and_none_is_under_the_gpl(
 
 PROGRAMS = [*sorted(ROOT.glob("bench/*.py")), *sorted(ROOT.glob("models/*.py"))]
 GENERATED = {"commands.md"}  # from the parser itself
-BLOCK = re.compile(r"^```[a-z]*\n(.*?)^```|((?:^    \S.*\n)+)", re.M | re.S)
+BLOCK = re.compile(r"^```[a-z]*\n(.*?)^```|((?:^    \S[^\n]*\n)+)", re.M | re.S)
 SHORTENED = re.compile(r"\.\.\.|[|\[\]<>]")  # notation, not a command as it is typed
 
 
