@@ -26,8 +26,8 @@ from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.body_sizes import MEAN_OVER_STATURE, SIZES, BodyEstimate, body_of_sizes, sizes_of_body
-from icp_tracker.acquisition.hull_source import HullSource, TPoseSettings
+from icp_tracker.initialization.body_sizes import MEAN_OVER_STATURE, SIZES, BodyEstimate, body_of_sizes, sizes_of_body
+from icp_tracker.initialization.hull_source import HullSource, TPoseSettings
 from mocap_packets.frame_set import FrameSet
 from mocap_pipeline.session_footage import EPOCH_NS
 from stick_figure.body import Body

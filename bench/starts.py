@@ -11,7 +11,7 @@ from scenes import studio_masks
 
 from capture_rig import Rig
 from capture_rig.rigid import rotation_matrix
-from icp_tracker.acquisition.body_sizes import ANKLE, SIZES, sizes_of_body
+from icp_tracker.initialization.body_sizes import ANKLE, SIZES, sizes_of_body
 from mocap_packets.hull import HullProducts
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage

@@ -29,12 +29,12 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
-from stick_figure.least_squares.free_ends import CORRELATED, STIFF_SD, TURN_SD
+from stick_figure.least_squares.effective_information import SURFACE_SD_M
+from stick_figure.least_squares.extremities import RAYS_PER_INDEPENDENT_SAMPLE, STIFF_SD, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Stop, Weights
-from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
 from stick_figure.least_squares.normal_equations import TANGENT
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 from stick_figure.trunk_bend import with_joint_centres
 
@@ -126,7 +126,7 @@ class FitResult:
 
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
     """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
-    state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
+    state, figure, weights = PoseState.of(start), BodyModel.of(body), make_weights(data, settings)
     stop = Stop(settings.max_iterations, TOLERANCE_M, HINGE_MARGIN_RAD)
     iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
     return state.pose(), iterations, moved
@@ -137,12 +137,12 @@ def assess(
 ) -> FitResult:
     """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
 
-    The covariance of a point is what the independent rows of this set determine: ``J H^-1 J^T`` with the H of
-    :mod:`stick_figure.least_squares.independent_rows`. Most of it lasts for many sets (the filter's share); where in a
-    limb a joint is (the filter's joint uncertainty) is not in it.
+    The covariance of a point is ``J H^-1 J^T``, H the set's :mod:`stick_figure.least_squares.effective_information`.
+    Most of it lasts for many sets (the filter's share); a joint's place in its limb (the filter's joint uncertainty) is
+    not in it.
     """
     weights = make_weights(data, settings)
-    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, UNSEEN)
+    found = gauss_newton.assess(data, PoseState(*pose.arrays), BodyModel.of(body), weights, UNSEEN)
     points_world, covariance, counts, rms_m, near_sticks, matched = found
     if not settings.contour.rigid and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
@@ -205,8 +205,8 @@ def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarra
     """
     if not rays.time_s.any():
         return rays
-    figure, span_s = Figure.of(body), np.abs(rays.time_s).max()
-    now, then = (place(State.of(each), figure) for each in (pose, pose.retract(velocity * span_s)))
+    figure, span_s = BodyModel.of(body), np.abs(rays.time_s).max()
+    now, then = (place(PoseState.of(each), figure) for each in (pose, pose.retract(velocity * span_s)))
     arrays = ray_arrays(rays, np.ones(len(rays)))
     match, share = match_rays(arrays, now, SLACK_M), (rays.time_s / span_s)[:, None]
     starts, ends = (then.P - now.P)[match.capsule], (then.Q - now.Q)[match.capsule]
@@ -232,7 +232,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     return Weights(
         prior=PRIOR / settings.prior**2,
         voxel=volume.weight * one / voxels if voxels else 0.0,
-        ends=CORRELATED / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
+        ends=RAYS_PER_INDEPENDENT_SAMPLE / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
     )
 
 

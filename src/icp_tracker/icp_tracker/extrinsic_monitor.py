@@ -25,9 +25,9 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.hull import ContourRays
 from stick_figure.least_squares.contour_factor import SURFACE_GATE_M, RayMatch
-from stick_figure.least_squares.independent_rows import SURFACE_SD_M
+from stick_figure.least_squares.effective_information import SURFACE_SD_M
 
-from .refinement.trunk_bend import RAYS_OF_A_DATUM
+from .refinement.bend_estimator import RAYS_OF_A_DATUM
 
 Array = npt.NDArray[np.float64]
 

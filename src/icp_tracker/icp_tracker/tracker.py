@@ -1,6 +1,6 @@
 """From one frame set's hull to the pose and the 15 reference points, set after set.
 
-Until there is a body, a source of the first pose looks at every set (``acquisition/``). From then on: start from the
+Until there is a body, a source of the first pose looks at every set (``initialization/``). From then on: start from the
 filter's prediction, choose the rows of the body that is expected there, fit, let the monitor judge and repair
 (``monitor/``), refine the body's sizes (``refinement/``), widen the covariance of what is doubtful.
 """
@@ -22,9 +22,6 @@ from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
-from .acquisition.body_sizes import BodyEstimate, covariance_of_sizes
-from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
-from .acquisition.pose_source import make_pose_source
 from .articulated_fit import (
     LONGEST_S,
     TOLERANCE_M,
@@ -37,10 +34,13 @@ from .articulated_fit import (
     unknown_covariance,
 )
 from .extrinsic_monitor import ContourResiduals
+from .initialization.body_sizes import BodyEstimate, covariance_of_sizes
+from .initialization.initial_pose import InitialPose, KnownPose, PoseSource
+from .initialization.pose_source import make_pose_source
 from .monitor.evidence import SAME_M
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
+from .refinement.bend_estimator import TrunkBendEstimator
 from .refinement.body_refiner import BodyRefiner, known_sizes, warm_up_refiner
-from .refinement.trunk_bend import TrunkBend
 from .settings import IcpNodeSettings, TrackerSettings
 from .thesis.hierarchical_icp import fit_hierarchical
 
@@ -67,7 +67,7 @@ class IcpTracker:
     def reset(self) -> None:
         """Forget the pose and look for a first one again."""
         self._body: Body | None = None
-        self._trunk = TrunkBend(self._settings.articulated)
+        self._trunk = TrunkBendEstimator(self._settings.articulated)
         self._pose: Pose | None = None
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
@@ -125,9 +125,9 @@ class IcpTracker:
         self._matched = None
         if self._body is None or self._pose is None:
             return self._acquire(seen)
-        return self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
+        return self._track(self._trunk.of(self._body), self._pose, seen, prediction, learn)
 
-    def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
+    def _track(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
         start, started_from = self._start(body, pose, seen.stamp_ns, prediction)
         if reason := too_few_points(seen):
@@ -153,7 +153,7 @@ class IcpTracker:
         if judged.state != LOST and len(data.contour_rays.information) > 0:
             self._matched = fit, seen.contour_rays
         if found.better is None and found.quality.state == GOOD and self._body is not None:
-            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
+            self._trunk.update(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
         return judged
 
     def _start(self, body: Body, own: Pose, stamp_ns: int, prediction: Prediction | None) -> tuple[Pose, str]:
@@ -277,15 +277,15 @@ def warm_up(settings: TrackerSettings, visibility: RigVisibility | None = None) 
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
     late_s = np.full(15, 0.001)
     contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), time_s=late_s)
-    for k in range(3):  # acquisition, a fit, and a look for another pose
+    for k in range(3):  # initialization, a fit, and a search for another pose
         predicted = Prediction.of(k, pose, np.zeros(TANGENT))
         tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays), predicted)
     if settings.method == "articulated":
-        trunk = TrunkBend(settings.articulated)
+        trunk = TrunkBendEstimator(settings.articulated)
         data = make_data(points, 0.01, voxels, settings.articulated, contour_rays, visibility)
         matched = assess(body, pose, data, 0, True, settings.articulated).matched
         for k in range(2):
-            trunk.look(k, body, pose, data.contour_rays, matched)
+            trunk.update(k, body, pose, data.contour_rays, matched)
     if settings.refinement.keyframes > 0:
         warm_up_refiner(settings.refinement)
 

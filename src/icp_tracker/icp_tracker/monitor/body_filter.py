@@ -89,10 +89,10 @@ class BodyFilter:
             self.other = other
         if other is None or self._unchecked:
             for turn in turns:
-                self._look_for_another(seen, pose, evidence, quality, turn)
+                self._try_alternative(seen, pose, evidence, quality, turn)
         return None
 
-    def _look_for_another(
+    def _try_alternative(
         self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turn: int
     ) -> None:
         """Try one other pose of the whole body, if it is its turn; one that explains more is followed."""

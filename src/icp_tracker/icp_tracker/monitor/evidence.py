@@ -20,7 +20,7 @@ from stick_figure.least_squares.contour_factor import SLACK_M, RayMatch, match_r
 from stick_figure.least_squares.contour_factor import SURFACE_GATE_M as GATE_M
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.keypoint_factor import ALL_STICKS, keypoint_support
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import Pose
 
 from ..articulated_fit import GUESS, ArticulatedSettings, minimise
@@ -30,7 +30,7 @@ TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
 
 # Thresholds: measured by python bench/recovery.py.
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained
-LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
+WORSE_RAY_WEIGHT = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
 RAYS_PER_NAT = 2.0  # rays worth a nat: so many show an independent sample, a cell of a limb's surface, for certain
 SAME_M = 0.12  # poses whose points, and places whose joints, are so near to each other are one: the width of a limb
@@ -57,21 +57,21 @@ class Evidence:
         return float(self.costs.sum()) + self.beyond
 
     def margin_of(self, other: Evidence) -> float:
-        """Rays that another pose explains better, less LOSS times those that it explains worse.
+        """Rays that another pose explains better, less WORSE_RAY_WEIGHT times those that it explains worse.
 
         An arm that leaves its own outline to explain something else (a bent hand, a coat's hem) gains and loses much;
         one that was lost had little to lose.
         """
         better, besides = self.costs - other.costs, self.beyond - other.beyond
-        return float(np.where(better > 0.0, better, LOSS * better).sum()) + besides
+        return float(np.where(better > 0.0, better, WORSE_RAY_WEIGHT * better).sum()) + besides
 
 
-def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None = None) -> Evidence:
+def evidence_of(figure: BodyModel, pose: Pose, data: Data, matched: RayMatch | None = None) -> Evidence:
     """Weigh a pose against the contour rays and keypoints of a set, and its angles against their joints' ranges.
 
     ``matched`` : what the rays are matched to, when that is known.
     """
-    state = State(*pose.arrays)
+    state = PoseState(*pose.arrays)
     matched = matched or match_to(figure, state, data)
     costs, share, excess = _weigh(state, matched.separation, data.contour_rays.information)
     beyond = float(((excess / LIMIT_RAD) ** 2).sum())
@@ -98,7 +98,7 @@ class Observation:
 
     def evidence_of(self, pose: Pose, matched: RayMatch | None = None) -> Evidence:
         """Return the evidence about a pose; ``matched`` : as of `evidence_of`."""
-        return evidence_of(Figure.of(self.body), pose, self.data, matched)
+        return evidence_of(BodyModel.of(self.body), pose, self.data, matched)
 
     def fitted(self, pose: Pose, guess: bool = False) -> Pose:
         """Return the pose that the fit reaches from another one, more freely if that is only a guess."""

@@ -24,8 +24,8 @@ from stick_figure import kernels
 from stick_figure.body_surface import BodySurface, place_capsules
 from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, RayMatch, match_rays, rays_at, sum_rays
 from stick_figure.least_squares.contour_factor import TANGENT as ALONG
+from stick_figure.least_squares.effective_information import CELLS, cell_of_ray
 from stick_figure.least_squares.gauss_newton import Data
-from stick_figure.least_squares.independent_rows import CELLS, cell_of_ray
 from stick_figure.least_squares.keypoint_factor import keypoint_support
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
@@ -37,7 +37,7 @@ from stick_figure.least_squares.normal_equations import (
     no_sums,
     pose_columns,
 )
-from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
+from stick_figure.least_squares.posed_model import STICKS, BodyModel, PoseState, place
 from stick_figure.pose import Pose
 
 from ..articulated_fit import POINT_GATE_M
@@ -84,7 +84,7 @@ NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
 
 
 def other_places(
-    figure: Figure,
+    figure: BodyModel,
     pose: Pose,
     limb: Limb,
     data: Data,
@@ -96,7 +96,7 @@ def other_places(
 
     ``matched`` : what the rays are matched to in the pose, when that is known.
     """
-    state = State.of(pose)
+    state = PoseState.of(pose)
     found = _search(data, matched or match_to(figure, state, data), state, figure, limb, library, known)
     R, flexion, margins, ends, tracked, samples, left_over, origins = found
     return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, samples, left_over, origins)
@@ -114,18 +114,18 @@ def _search(data, matched, state, figure, limb, library, known):
     """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; its samples,
     and those left over; which of the known places each of them is."""
     left, own = unexplained_data(data, matched, state, figure, limb), part_of(figure, limb, True)
-    placed, costs, lower = place(state, own), np.empty(left.fine.shape[0]), own.surface.stick == limb.lower
+    posed, costs, lower = place(state, own), np.empty(left.fine.shape[0]), own.surface.stick == limb.lower
     keypoints, sticks = data.keypoints, np.zeros(STICKS, np.bool_)
     sticks[limb.upper], sticks[limb.lower] = True, True
-    tracked = _ends(placed, limb)
-    samples = _samples(left, placed, lower, costs)
+    tracked = _ends(posed, limb)
+    samples = _samples(left, posed, lower, costs)
     left_over = samples * _odds_left_over(left, costs)
-    samples += keypoint_support(keypoints, placed, sticks)
+    samples += keypoint_support(keypoints, posed, sticks)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
-        _place_limb(placed, figure, limb)
-        gains[h] = _rays_gained(left, placed, costs) + RAYS_PER_NAT * keypoint_support(keypoints, placed, sticks)
+        _place_limb(posed, figure, limb)
+        gains[h] = _rays_gained(left, posed, costs) + RAYS_PER_NAT * keypoint_support(keypoints, posed, sticks)
     chosen = np.argsort(-gains)[:REFINED]
     count = known.flexion.shape[0] + chosen.shape[0]
     R, flexion = np.empty((count, 3, 3)), np.empty(count)
@@ -138,10 +138,10 @@ def _search(data, matched, state, figure, limb, library, known):
             if gains[h] <= 0.0:
                 continue
             state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
-        _refine_limb(left.rays, placed, figure, limb)
-        R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(placed, limb)
+        _refine_limb(left.rays, posed, figure, limb)
+        R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(posed, limb)
         if farther_apart(ends[m], tracked) > SAME_M:
-            found = _samples(left, placed, lower, costs) + keypoint_support(keypoints, placed, sticks)
+            found = _samples(left, posed, lower, costs) + keypoint_support(keypoints, posed, sticks)
             margins[m] = found - samples
     kept, origins = _distinct(margins, ends, known.flexion.shape[0])
     return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, left_over, origins
@@ -175,42 +175,42 @@ def farther_apart(ends, others):
 
 
 @njit(cache=True)
-def _place_limb(placed, figure, limb):
-    """Place the limb's sticks and surface anew; ``placed`` shares the state's arrays."""
-    pose, frames = (placed.t0, placed.R0, placed.RJ, placed.hinges), (placed.G, placed.axes, placed.A, placed.B)
+def _place_limb(posed, figure, limb):
+    """Place the limb's sticks and surface anew; ``posed`` shares the state's arrays."""
+    pose, frames = (posed.t0, posed.R0, posed.RJ, posed.hinges), (posed.G, posed.axes, posed.A, posed.B)
     kernels.move_limb(limb.ball, limb.hinge, pose, (figure.lengths, figure.origins), frames)
-    place_capsules(placed.surface, placed.G, placed.A, placed.P, placed.Q)
+    place_capsules(posed.surface, posed.G, posed.A, posed.P, posed.Q)
 
 
 @njit(cache=True)
-def _refine_limb(rays, placed, figure, limb):
+def _refine_limb(rays, posed, figure, limb):
     """Move the limb toward the rays, in place: Gauss-Newton over its four angles."""
     own, pull = np.empty((ANGLES, ANGLES)), np.empty(ANGLES)
     L, turn, step = np.empty((ANGLES, ANGLES)), np.empty(ANGLES), np.zeros(TANGENT)
-    _place_limb(placed, figure, limb)
+    _place_limb(posed, figure, limb)
     for _ in range(ITERATIONS):
-        sums = no_sums(placed.P.shape[0], ENDS)
-        sum_rays(rays, match_rays(rays, placed, SLACK_M), POINT_GATE_M, sums)
-        _add_limb_sums(sums, placed, limb, own, pull)
+        sums = no_sums(posed.P.shape[0], ENDS)
+        sum_rays(rays, match_rays(rays, posed, SLACK_M), POINT_GATE_M, sums)
+        _add_limb_sums(sums, posed, limb, own, pull)
         for i in range(ANGLES):
             own[i, i] += STIFFNESS_M2
         solve_positive(own, pull, L, turn)
         for i in range(ANGLES):
             step[limb.slots[i]] = turn[i]
         scale = kernels.scale_of_step(turn)
-        kernels.turn_limb(limb.ball, limb.hinge, placed.RJ, placed.hinges, step, scale)
-        _place_limb(placed, figure, limb)
+        kernels.turn_limb(limb.ball, limb.hinge, posed.RJ, posed.hinges, step, scale)
+        _place_limb(posed, figure, limb)
 
 
 @njit(cache=True)
-def _add_limb_sums(sums, placed, limb, own, pull):
+def _add_limb_sums(sums, posed, limb, own, pull):
     """Fill own (4, 4) and pull (4,) with the limb's part of the pose's equations: the torso stands still."""
     M, slots = np.empty((2 * ENDS, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
     angle, work = np.empty(ANGLES, np.int64), np.empty((2 * ENDS + 1, 2 * ENDS))
     own[:] = 0.0
     pull[:] = 0.0
-    for k in range(placed.P.shape[0]):
-        n = pose_columns(k, placed, M, slots)
+    for k in range(posed.P.shape[0]):
+        n = pose_columns(k, posed, M, slots)
         for m in range(TORSO_COLUMNS, n):
             for i in range(ANGLES):
                 if limb.slots[i] == slots[m]:
@@ -220,9 +220,9 @@ def _add_limb_sums(sums, placed, limb, own, pull):
 
 
 @njit(cache=True)
-def _rays_gained(left, placed, costs):
+def _rays_gained(left, posed, costs):
     """Return the rays that the limb explains at a wide gate: what each (n,) costs without it, less what with it."""
-    _gains(match_rays(left.rays, placed, SLACK_M).separation, left.coarse, COARSE_GATE_M, costs)
+    _gains(match_rays(left.rays, posed, SLACK_M).separation, left.coarse, COARSE_GATE_M, costs)
     gain = 0.0
     for i in range(costs.shape[0]):
         gain += max(costs[i], 0.0)
@@ -237,17 +237,17 @@ def _gains(separation, cost_without, gate, gains):
 
 
 @njit(cache=True)
-def _samples(left, placed, lower, costs):
+def _samples(left, posed, lower, costs):
     """Return how many cells of the limb's surface the rays show that it explains and the rest of the body does not;
     twice those of its ``lower`` (k,) bool capsules where they are the fewer: an elbow does not tell where the hand is.
 
     costs (n,) : scratch.
     """
-    match, shown = match_rays(left.rays, placed, SLACK_M), np.zeros((placed.P.shape[0], CELLS))
+    match, shown = match_rays(left.rays, posed, SLACK_M), np.zeros((posed.P.shape[0], CELLS))
     _gains(match.separation, left.fine, GATE_M, costs)
     for i in range(costs.shape[0]):
         if costs[i] > 0.0:
-            cell = cell_of_ray(placed, match.capsule[i], match.along[i], left.rays.rows, i)
+            cell = cell_of_ray(posed, match.capsule[i], match.along[i], left.rays.rows, i)
             shown[cell // CELLS, cell % CELLS] += costs[i] / RAYS_PER_NAT
     shown = np.minimum(shown, 1.0)
     return min(shown.sum(), 2.0 * shown[lower].sum())
@@ -264,10 +264,10 @@ def _odds_left_over(left, gains):
 
 
 @njit(cache=True)
-def _ends(placed, limb):
+def _ends(posed, limb):
     """Return where the limb bends and where it ends (2, 3)."""
     ends = np.empty((2, 3))
-    ends[0], ends[1] = placed.B[limb.upper], placed.B[limb.lower]
+    ends[0], ends[1] = posed.B[limb.upper], posed.B[limb.lower]
     return ends
 
 
@@ -288,8 +288,8 @@ class UnexplainedData(NamedTuple):
 @njit(cache=True)
 def unexplained_data(data, matched, state, figure, limb):
     """Return the data that the body without the limb does not explain."""
-    rays, placed, own = data.contour_rays, place(state, part_of(figure, limb, False)), _is_of_limb(figure, limb)
-    without, root = _rays_without(rays, matched, placed, own), placed.A[limb.upper].copy()
+    rays, posed, own = data.contour_rays, place(state, part_of(figure, limb, False)), _is_of_limb(figure, limb)
+    without, root = _rays_without(rays, matched, posed, own), posed.A[limb.upper].copy()
     reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
     chosen, count = np.empty(without.shape[0], np.int64), 0
     for i in range(without.shape[0]):
@@ -304,11 +304,11 @@ def unexplained_data(data, matched, state, figure, limb):
 
 
 @njit(cache=True)
-def _rays_without(rays, match, placed, own):
+def _rays_without(rays, match, posed, own):
     """Return the separation (n,) of the rays from a body without some of its ``own`` (k,) bool capsules: those that
     were matched to one of them are matched anew."""
     separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
-    separation[again] = match_rays(rays_at(rays, again), placed, SLACK_M).separation
+    separation[again] = match_rays(rays_at(rays, again), posed, SLACK_M).separation
     return separation
 
 
@@ -331,4 +331,4 @@ def part_of(figure, limb, own):
     """Return the figure with the limb's surface alone (``own``), or with all but the limb's."""
     surface, rows = figure.surface, np.flatnonzero(_is_of_limb(figure, limb) == own)
     part = BodySurface(surface.stick[rows], surface.start[rows], surface.end[rows], surface.radii[rows])
-    return Figure(figure.lengths, figure.origins, part)
+    return BodyModel(figure.lengths, figure.origins, part)

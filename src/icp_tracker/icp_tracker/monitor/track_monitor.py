@@ -21,7 +21,7 @@ from stick_figure.body import Body
 from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.contour_factor import RayMatch
 from stick_figure.least_squares.gauss_newton import Data
-from stick_figure.least_squares.placed_figure import Figure
+from stick_figure.least_squares.posed_model import BodyModel
 from stick_figure.pose import Pose
 
 from ..articulated_fit import LONGEST_S, ArticulatedSettings
@@ -141,7 +141,7 @@ class TrackMonitor:
                 self._looks[number] += 1
                 library = limb_poses(limb).part(self._looks[number], limb.parts)
             known = NO_POSES if before is None else before.places.poses
-            places = other_places(Figure.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
+            places = other_places(BodyModel.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
             self._beliefs[number] = LimbBelief.after(before, places, seen.dt_s, bool(self._hidden[number]))
 
     def _limb_of(self, turn: int) -> int:
@@ -193,7 +193,7 @@ class TrackMonitor:
     ) -> LimbBelief:
         """Return what is believed of a limb after it moved: the place that it left is another one now."""
         limb = LIMBS[number]
-        places = other_places(Figure.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
+        places = other_places(BodyModel.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
         before = self._beliefs[number]
         unfound, unseen = (0.0, 0.0) if before is None else (before.unfound - log_odds, before.unseen - log_odds)
         return LimbBelief(places, np.full(len(places.margins), -log_odds), unfound, unseen)

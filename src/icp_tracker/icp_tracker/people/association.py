@@ -1,6 +1,6 @@
 """Data association: which parts of the hull, and which rows of parts that persons share, belong to whom.
 
-A person's figure, placed where it is expected, explains the points inside it and near its surface, and the contour rays
+A person's figure, posed where it is expected, explains the points inside it and near its surface, and the contour rays
 that graze it. A part of the hull belongs to everybody of whom it holds a good deal. Persons who touch share a part:
 each row of it (centerline point, surface voxel, contour ray) goes to those who explain it, to both where neither
 explains it clearly better, and so does what nobody explains: it may be the limb that somebody has lost. Of the
@@ -19,7 +19,7 @@ from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import SLACK_M, match_rays
 from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
-from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
+from stick_figure.least_squares.posed_model import BodyModel, PosedModel, PoseState, place, surface_distances
 from stick_figure.pose import Pose
 
 from ..articulated_fit import POINT_GATE_M, ray_arrays
@@ -45,9 +45,9 @@ class Expected(NamedTuple):
     pose: Pose
 
     @property
-    def placed(self) -> PlacedFigure:
+    def posed(self) -> PosedModel:
         """The figure in the world."""
-        return place(State(*self.pose.arrays), Figure.of(self.body))
+        return place(PoseState(*self.pose.arrays), BodyModel.of(self.body))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def associate_parts(seen: HullProducts, bodies: Sequence[int], expected: Sequenc
     totals = np.array([np.count_nonzero(body == part) for part in bodies])
     parts: dict[int, tuple[int, ...]] = {}
     for one in expected:
-        near = surface_distances(points, one.placed)[2] < NEAR_M
+        near = surface_distances(points, one.posed)[2] < NEAR_M
         counts = np.array([np.count_nonzero(near & (body == part)) for part in bodies])
         own = (counts >= OWN_SHARE * counts.sum()) & (counts >= PART_SHARE * totals) & (counts > 0)
         if own.any():
@@ -97,7 +97,7 @@ def associate_rows(
     explains are no surface of this one.
     """
     together = [one for one in expected if association.sharers(one.person)]
-    distances = {one.person: _Distances.of(seen, one.placed) for one in together}
+    distances = {one.person: _Distances.of(seen, one.posed) for one in together}
     rows = {}
     for person, parts in association.parts.items():
         own = _rows_of(seen, parts)
@@ -116,7 +116,7 @@ def associate_skeletons(keypoints: Keypoints, expected: Sequence[Expected]) -> d
     """
     near = list[tuple[float, int, int, int]]()
     for one in expected:
-        offsets = offsets_m(keypoints, one.placed)
+        offsets = offsets_m(keypoints, one.posed)
         for skeleton in np.unique(keypoints.skeleton).tolist():
             own = keypoints.skeleton == skeleton
             apart = float(np.linalg.norm(np.median(offsets[own], axis=0)))
@@ -147,12 +147,12 @@ class _Distances(NamedTuple):
     rays: np.ndarray
 
     @classmethod
-    def of(cls, seen: HullProducts, placed: PlacedFigure) -> _Distances:
+    def of(cls, seen: HullProducts, posed: PosedModel) -> _Distances:
         rays = seen.contour_rays
-        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, SLACK_M).separation
+        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), posed, SLACK_M).separation
         points = np.ascontiguousarray(seen.voxels.points_world)
         line = np.ascontiguousarray(seen.centerline.points_world)
-        return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], separation)
+        return cls(surface_distances(line, posed)[2], surface_distances(points, posed)[2], separation)
 
     def of_rows(self, rows: _Rows) -> _Distances:
         return _Distances(self.line[rows.line], self.voxels[rows.voxels], self.rays[rows.rays])

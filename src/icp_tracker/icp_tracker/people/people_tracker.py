@@ -21,9 +21,9 @@ from mocap_packets.state import Prediction
 from stick_figure.body import Body
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
-from ..acquisition.body_sizes import BodyEstimate
-from ..acquisition.pose_source import HULL_SOURCES
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
+from ..initialization.body_sizes import BodyEstimate
+from ..initialization.pose_source import HULL_SOURCES
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons
@@ -124,7 +124,7 @@ class PeopleTracker:
         there = [one for one in expected if one.person in association.parts]
         free = [part for part in parts if part not in association.claimed]
         back = self._reassign_lost_tracks(seen, association, free)
-        fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
+        fits = self._track(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
@@ -173,7 +173,7 @@ class PeopleTracker:
             person.away |= number in back or seen.stamp_ns - person.seen_ns >= AWAY_AFTER_S * NS_PER_S
         return back
 
-    def _follow(
+    def _track(
         self,
         seen: HullProducts,
         rows: Mapping[int, HullProducts],
@@ -218,7 +218,7 @@ class PeopleTracker:
         found = dict[int, Fit]()
         self._newcomers = self._newcomers_of(free, seen.stamp_ns)
         self._reasons = {part: reason for part, reason in self._reasons.items() if part in free}
-        for part, tracker in self._looked_at(free, seen.stamp_ns):
+        for part, tracker in self._newcomers_due(free, seen.stamp_ns):
             fit = tracker.step(seen.of_body(part).as_one_body())
             self._reasons[part] = fit.reason
             present = sum(not person.away for person in self._persons.values())
@@ -231,7 +231,7 @@ class PeopleTracker:
             self._newcomers = {NO_PART: self._make()}
         return found
 
-    def _looked_at(self, free: Sequence[int], stamp_ns: int) -> list[tuple[int, IcpTracker]]:
+    def _newcomers_due(self, free: Sequence[int], stamp_ns: int) -> list[tuple[int, IcpTracker]]:
         """Return whom to look at in this set: two newcomers, the next two in the next set; while somebody is followed
         one now and then: an acquisition takes as long as several fits."""
         if not free or (self._persons and 0 <= stamp_ns - self._looked_ns < LOOK_PERIOD_S * NS_PER_S):

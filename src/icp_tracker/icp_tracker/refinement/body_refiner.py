@@ -16,14 +16,14 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, TURN_SD
-from stick_figure.least_squares.independent_rows import SURFACE_SD_M
+from stick_figure.least_squares.effective_information import SURFACE_SD_M
+from stick_figure.least_squares.extremities import ANGLES, COUNT, TURN_SD
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
-from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import PRIOR
-from .keyframes import Keyframes, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
+from ..initialization.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
+from .keyframes import Keyframes, differs_from_all, linearise_keyframe, solve_shape, write_keyframe
 from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
 # Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
@@ -149,7 +149,7 @@ class BodyRefiner:
             self._kept, count, pose.arrays, self._settings.turn
         ):
             return False
-        put_keyframe(self._kept, count, pose.arrays, bend, self._values)
+        write_keyframe(self._kept, count, pose.arrays, bend, self._values)
         self._rays.append(_evenly_spread(contour_rays, self._settings))
         if self._linearise(count) < self._least_share:
             self._rays.pop()

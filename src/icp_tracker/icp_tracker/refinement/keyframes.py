@@ -16,9 +16,9 @@ from stick_figure import kernels
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.joint_limits import LIMIT_SD_RAD, NECK_SD, add_joint_limits, add_neck_rest
 from stick_figure.least_squares.contour_factor import SLACK_M, bent_figure
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, LARGEST_TURN, straight_ends, turn_ends
+from stick_figure.least_squares.extremities import ANGLES, COUNT, LARGEST_TURN, straight_extremities, turn_extremities
 from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
-from stick_figure.least_squares.placed_figure import State, place
+from stick_figure.least_squares.posed_model import PoseState, place
 
 from .shape import BENT, POSE, UNKNOWNS, contour_system, figure_at
 
@@ -28,7 +28,7 @@ FIRST_JOINT_SLOT = 6
 
 
 class Keyframes(NamedTuple):
-    """Room for K poses: t0 (K, 3), R0 (K, 3, 3), RJ (K, 5, 3, 3), hinges (K, 4) as of :class:`State`.
+    """Room for K poses: t0 (K, 3), R0 (K, 3, 3), RJ (K, 5, 3, 3), hinges (K, 4) as of :class:`PoseState`.
 
     information (K, U, U), target (K, U) : each one's part of normal equations for the shape's values themselves: (sum
     of information) values = sum of target; zero while the surface explains too few of its rays.
@@ -56,7 +56,7 @@ class Keyframes(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def put_keyframe(kept, k, pose, bend, values):
+def write_keyframe(kept, k, pose, bend, values):
     """Write a pose (t0, R0, RJ, hinges) and bend to place k, to be linearised at ``values`` for the first time."""
     kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k] = pose
     kept.bend[k] = bend
@@ -72,14 +72,14 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
     ``prior`` (POSE,) : information that holds its pose, bend (about rest) and turns (about straight) where its rays do
     not. ``least`` : share of the rays that must be explained for it to count; returns the share that is.
     """
-    state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), POSE + UNKNOWNS, UNKNOWNS
-    bend, ends = kept.bend[k], straight_ends(1.0)
-    _follow_shape(kept.through[k], kept.values[k] - values, state, bend, kept.turns[k])
+    state, n, unknowns = PoseState(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), POSE + UNKNOWNS, UNKNOWNS
+    bend, ends = kept.bend[k], straight_extremities(1.0)
+    _update_pose(kept.through[k], kept.values[k] - values, state, bend, kept.turns[k])
     ends.turns[:] = kept.turns[k]
     H, g = np.empty((n, n)), np.empty(n)
-    placed = place(state, bent_figure(figure_at(model, values), model.bends, bend))
-    turn_ends(ends, placed)
-    explained = contour_system(rays, placed, ends.turns, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
+    posed = place(state, bent_figure(figure_at(model, values), model.bends, bend))
+    turn_extremities(ends, posed)
+    explained = contour_system(rays, posed, ends.turns, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
     own, L, through = H[:POSE, :POSE].copy(), np.empty((POSE, POSE)), kept.through[k]
     through[:, :unknowns], through[:, unknowns] = H[:POSE, POSE:], g[:POSE]
     _add_limits(state, own[:TANGENT, :TANGENT], through[:TANGENT, unknowns])
@@ -106,7 +106,7 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
 
 
 @njit(cache=True)
-def _follow_shape(through, change, state, bend, turns):
+def _update_pose(through, change, state, bend, turns):
     """Move pose, bend and turns as the last linearisation says, for a ``change`` (U,) of the shape's values."""
     step = through[:, -1] + (through[:, :-1] * change).sum(axis=1)
     scale = kernels.scale_of_step(step[:BENT])

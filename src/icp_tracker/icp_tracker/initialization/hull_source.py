@@ -42,7 +42,7 @@ from ..monitor.pose_library import (
 )
 from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
-from .pose_hypothesis import T_POSE_RAD, AcquisitionObservation, PoseHypothesis, farthest_stick
+from .pose_hypothesis import T_POSE_RAD, InitializationObservation, PoseHypothesis, farthest_stick
 from .t_pose_sizes import with_t_pose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, stance_of
 
@@ -137,16 +137,16 @@ class HullSource:
             return InitialPose(reason="no outlines")
         cameras = rays_in_use(rays, self._visibility).camera
         dt_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
-        observed = AcquisitionObservation(
+        observed = InitializationObservation(
             dt_s, body, data, self._settings, cameras, voxels, pitch, stance, cut, self._visibility
         )
-        self._follow(observed)
+        self._update_hypotheses(observed)
         if not self._followed:
             self._began_ns = seen.stamp_ns
         if not self._followed or seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
             self._looked_ns = seen.stamp_ns
-            self._look(observed)
-        return self._answer(observed, (seen.stamp_ns - self._began_ns) / NS_PER_S)
+            self._add_hypotheses(observed)
+        return self._decide(observed, (seen.stamp_ns - self._began_ns) / NS_PER_S)
 
     # --- the body
 
@@ -170,7 +170,7 @@ class HullSource:
 
     # --- the hypotheses
 
-    def _look(self, seen: AcquisitionObservation) -> None:
+    def _add_hypotheses(self, seen: InitializationObservation) -> None:
         """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
         body, stance = seen.body, seen.stance
         crown, postures = stance.floor_world + body.stature, (*NATURAL_POSTURES, self._asked)
@@ -206,18 +206,18 @@ class HullSource:
     def _is_new(self, body: Body, pose: Pose) -> bool:
         return all(farthest_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
 
-    def _follow(self, seen: AcquisitionObservation) -> None:
+    def _update_hypotheses(self, seen: InitializationObservation) -> None:
         """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
         followed, self._followed = self._followed, []
         for hypothesis in followed:
-            hypothesis.follow(seen)
+            hypothesis.update(seen)
         for hypothesis in sorted(followed, key=lambda one: one.mean_cost):
             if self._is_new(seen.body, hypothesis.pose):
                 self._followed.append(hypothesis)
 
     # --- the decision
 
-    def _answer(self, seen: AcquisitionObservation, watched_s: float) -> InitialPose:
+    def _decide(self, seen: InitializationObservation, watched_s: float) -> InitialPose:
         """Return the best hypothesis if it was watched, or holds a T-pose, explains enough, and no rival faces
         elsewhere."""
         best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
@@ -258,14 +258,14 @@ class HullSource:
         self.reset()
         return InitialPose(best.pose, body, "", estimate, is_fitted=True)
 
-    def _best(self, seen: AcquisitionObservation) -> PoseHypothesis:
+    def _best(self, seen: InitializationObservation) -> PoseHypothesis:
         """Return the best hypothesis; one that is hardly worse and holds a T-pose is meant."""
         best = self._followed[0]
         rivals = [one for one in self._followed if one.mean_cost < best.mean_cost + SURE_SHARE]
         asked = (one for one in rivals if farthest_stick(seen.body, one.pose, self._asked)[1] < T_POSE_RAD)
         return best if seen.cut else next(asked, best)
 
-    def _hold(self, seen: AcquisitionObservation, pose: Pose) -> str:
+    def _hold(self, seen: InitializationObservation, pose: Pose) -> str:
         """Count the sets in a row that show the pose that is asked for, held still; return what is amiss."""
         stick, off = farthest_stick(seen.body, pose, self._asked)
         if seen.cut or off >= T_POSE_RAD:
@@ -277,7 +277,7 @@ class HullSource:
             self._held = []
         return f"stand still: moved by {moved_m:.2f} m"
 
-    def _try_girths(self, seen: AcquisitionObservation) -> None:
+    def _try_girths(self, seen: InitializationObservation) -> None:
         """Take the one of GIRTHS with which the best pose explains clearly most of a set; what it explains and where it
         is seen then count as if it had been so thick in all sets."""
         tried, best_pose = list[PoseHypothesis](), self._followed[0].pose

@@ -12,7 +12,7 @@ from capture_rig.rigid import rotation_matrix
 from capture_rig.visibility import RigVisibility
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
+from stick_figure.least_squares.posed_model import STICKS, BodyModel, PoseState, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import HEAD, STICK_NAMES
 
@@ -39,7 +39,7 @@ FOOT_POINTS = [13, 14]
 
 
 @dataclass(frozen=True, eq=False)
-class AcquisitionObservation(Observation):
+class InitializationObservation(Observation):
     """One frame set against which first poses are assessed.
 
     body : as is known by now. cameras (n,) : of the data's rays. voxels (m, 3) m, world, of an edge ``pitch``, m.
@@ -56,12 +56,12 @@ class AcquisitionObservation(Observation):
 
     def share_seen(self, pose: Pose, evidence: Evidence, explained: np.ndarray) -> float:
         """Return the share of a pose's sticks, as the cameras that look there see them, which explained rays show."""
-        placed = place(State(*pose.arrays), Figure.of(self.body))
+        posed = place(PoseState(*pose.arrays), BodyModel.of(self.body))
         looks = np.ones((STICKS, int(self.cameras.max()) + 1), bool)
         if self.visibility is not None:
-            looks = self.visibility.seen_by(0.5 * (placed.A + placed.B))
+            looks = self.visibility.seen_by(0.5 * (posed.A + posed.B))
         rays = np.zeros(looks.shape, np.int64)
-        sticks = placed.surface.stick[evidence.matched.capsule]
+        sticks = posed.surface.stick[evidence.matched.capsule]
         np.add.at(rays, (sticks[explained], self.cameras[explained]), 1)
         return float(np.mean(rays[looks] >= SEEN_RAYS)) if looks.any() else 0.0
 
@@ -131,7 +131,7 @@ class PoseHypothesis:
         """Whether another one faces another way."""
         return float(self.pose.R_world_torso[:, 0] @ other.pose.R_world_torso[:, 0]) < 0.5
 
-    def follow(self, seen: AcquisitionObservation) -> None:
+    def update(self, seen: InitializationObservation) -> None:
         """Fit the pose to the next set."""
         before, self.pose = self.pose, seen.fitted(self.pose)
         if self.angles is not None and farthest_stick(seen.body, self.pose, self.angles)[1] >= T_POSE_RAD:
@@ -140,7 +140,7 @@ class PoseHypothesis:
         self.way = self.way * math.exp(-seen.dt_s / STEP_S) + float(moved[:2] @ before.R_world_torso[:2, 0])
         self.add(seen)
 
-    def add(self, seen: AcquisitionObservation) -> None:
+    def add(self, seen: InitializationObservation) -> None:
         """Add a set's evidence; the rays count by their certainty: torn outlines say little."""
         evidence, certainty = seen.evidence_of(self.pose), seen.data.contour_rays.information
         certainty = certainty / max(float(certainty.sum()), 1e-12)

@@ -11,7 +11,7 @@ import numpy as np
 from capture_rig.stamps import NS
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, bend_step
-from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.posed_model import BodyModel, PoseState
 from stick_figure.pose import Pose
 from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_derivatives
 
@@ -23,10 +23,10 @@ from .shape import FARTHEST_SD
 # SESSION.
 RAYS_OF_A_DATUM = 25.0
 """Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200
-cells of the body's surface, three of which are one datum (`independent_rows`)."""
+cells of the body's surface, three of which are one datum (`effective_information`)."""
 
 
-class TrunkBend:
+class TrunkBendEstimator:
     """The bend of one body, zero at first."""
 
     def __init__(self, settings: ArticulatedSettings) -> None:
@@ -46,7 +46,7 @@ class TrunkBend:
             self._bent = body.bent(self._bend)
         return self._bent
 
-    def look(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
+    def update(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
         """Move the bend to where the rays of a fitted set want it, by what they are matched to in the pose."""
         since_ns, self._stamp_ns = self._stamp_ns, stamp_ns
         if self._settings.contour.rigid or len(rays.information) == 0 or since_ns < 0:
@@ -54,8 +54,8 @@ class TrunkBend:
         passed_s = min((stamp_ns - since_ns) * NS, LONGEST_S)
         rest = RAYS_OF_A_DATUM / REST_SD**2
         walk = RAYS_OF_A_DATUM / RATE_SD**2 / max(passed_s, 1e-3)
-        state, figure, derivatives = State(*pose.arrays), Figure.of(self.of(body)), bend_derivatives(body.straight)
-        known = (PRIOR, rest + walk, -rest * self._bend)
-        step = bend_step(rays, match, state, figure, derivatives, *known)
+        state, figure = PoseState(*pose.arrays), BodyModel.of(self.of(body))
+        known = (bend_derivatives(body.straight), PRIOR, rest + walk, -rest * self._bend)
+        step = bend_step(rays, match, state, figure, *known)
         farthest = FARTHEST_SD * REST_SD
         self._bend, self._bent = np.clip(self._bend + step, -farthest, farthest), None
