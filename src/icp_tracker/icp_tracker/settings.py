@@ -41,7 +41,7 @@ MOST_PERSONS = 4  # in one volume: more hide each other from most cameras of a r
 
 @dataclass(frozen=True)
 class PeopleSettings:
-    """How many persons are followed."""
+    """How many persons are tracked."""
 
     max: int = setting(MOST_PERSONS, "persons that are followed at most", low=1, high=MOST_PERSONS)
 

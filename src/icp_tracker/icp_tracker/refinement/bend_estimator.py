@@ -1,7 +1,7 @@
-"""Follows how the trunk of a tracked body is bent, set after set.
+"""Estimates the bend of a tracked body's trunk, set after set.
 
-Each well explained fit moves the bend by one step (`bend_step`); the next one starts with it. What is known without
-rays is a Gaussian about rest and a random walk from set to set.
+Each well explained fit moves the bend by one step (`bend_step`); the next one starts with it. The prior is a Gaussian
+about rest and a random walk from set to set.
 """
 
 from __future__ import annotations
@@ -18,12 +18,9 @@ from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_derivatives
 from ..articulated_fit import LONGEST_S, PRIOR, ArticulatedSettings
 from .shape import FARTHEST_SD
 
-# Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
-# SESSION.
-RAYS_OF_A_DATUM = 25.0
-"""Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200
-cells of the body's surface, three of which are one datum (`effective_information`)."""
+# Thresholds: from the noise model: 1200 rays of about 15000 / m^2 show some 200 cells of the body's surface, three of
+# which are one independent datum of 1 cm (`effective_information`).
+RAYS_OF_A_DATUM = 25.0  # rays of a fit that count as one independent datum
 
 
 class TrunkBendEstimator:
@@ -39,7 +36,7 @@ class TrunkBendEstimator:
         return self._bend
 
     def of(self, body: Body) -> Body:
-        """Return a body as its trunk is bent now."""
+        """Return a body with the present bend."""
         if not self._bend.any():
             return body
         if self._bent is None or self._bent.unbent is not body:
@@ -47,7 +44,7 @@ class TrunkBendEstimator:
         return self._bent
 
     def update(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
-        """Move the bend to where the rays of a fitted set want it, by what they are matched to in the pose."""
+        """Move the bend by one Gauss-Newton step on the rays of a fitted set, matched in its pose."""
         since_ns, self._stamp_ns = self._stamp_ns, stamp_ns
         if self._settings.contour.rigid or len(rays.information) == 0 or since_ns < 0:
             return
