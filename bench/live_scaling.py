@@ -32,7 +32,7 @@ from ekf_tracker.filter import PeopleFilter
 from hull_server import hull_pipeline
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.initialization.initial_pose import KnownPose
 from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.settings import TrackerSettings
 from icp_tracker.tracker import IcpTracker

@@ -21,7 +21,7 @@ from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.body_sizes import (
+from icp_tracker.initialization.body_sizes import (
     ANKLE,
     MEAN_OVER_STATURE,
     SIZES,
@@ -29,7 +29,7 @@ from icp_tracker.acquisition.body_sizes import (
     body_of_sizes,
     sizes_of_body,
 )
-from icp_tracker.acquisition.hull_source import HullSource, TPoseSettings
+from icp_tracker.initialization.hull_source import HullSource, TPoseSettings
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
 from mocap_pipeline.configuration import Configuration

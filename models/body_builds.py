@@ -24,7 +24,7 @@ from body_subjects import FRAMES_EACH, POSES_OF_SESSIONS, Subject, people_of_the
 from clips import load
 from numpy.typing import NDArray
 
-from icp_tracker.acquisition.body_sizes import SD_OVER_STATURE, sizes_of_body
+from icp_tracker.initialization.body_sizes import SD_OVER_STATURE, sizes_of_body
 from stick_figure import body_surface as table
 from stick_figure.body import BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface

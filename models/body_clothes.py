@@ -37,7 +37,7 @@ from body_builds import (
 )
 from body_subjects import FRAMES_EACH, Subject, people_in_clothes
 
-from icp_tracker.acquisition.body_sizes import sizes_of_body
+from icp_tracker.initialization.body_sizes import sizes_of_body
 from stick_figure import body_surface as table
 from stick_figure.body import BUILD_NUMBERS
 

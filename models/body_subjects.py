@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.body_surface import END_CAPSULES, BodySurface
+from stick_figure.body_surface import EXTREMITY_CAPSULES, BodySurface
 from stick_figure.kinematics import inverse
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_FOREARM, R_CALF, R_FOREARM, STICK_AXIS, STICK_SIGN, TORSO
 from virtual_studio.people import VolumetricBody, person_of
@@ -59,7 +59,7 @@ EXTRA = {L_FOREARM: "l_wrist", R_FOREARM: "r_wrist", L_CALF: "l_toe_tip", R_CALF
 class View:
     """One pose: its state, each capsule's frame (k, 3, 3) and origin (k, 3) in the world, rays and their normals."""
 
-    state: State
+    state: PoseState
     frames: Array
     origins: Array
     rays: RayArrays
@@ -67,7 +67,7 @@ class View:
 
     def against(self, body: Body, surface: BodySurface) -> tuple[RayMatch, Array]:
         """Which capsule explains each ray, and the ray's normal (n, 3) in that capsule's frame."""
-        placed = place(self.state, Figure(body.lengths, body.stick_origins_torso, surface))
+        placed = place(self.state, BodyModel(body.lengths, body.stick_origins_torso, surface))
         starts, ends = (
             np.einsum("kij,kj->ki", self.frames, end) + self.origins for end in (surface.start, surface.end)
         )
@@ -215,7 +215,7 @@ def _own_frames(
         else:
             G[s] = _turn(G[s][:, STICK_AXIS[s]] * STICK_SIGN[s], points[ENDS[s]] - A[s]) @ G[s]
     frames, origins = G[stick], A[stick]
-    for capsule in END_CAPSULES:
+    for capsule in EXTREMITY_CAPSULES:
         s = int(stick[capsule])
         extra, straight = rest[s][0], np.zeros(3)
         straight[STICK_AXIS[s]] = STICK_SIGN[s] * rest[s][1]
@@ -239,4 +239,4 @@ def _turn(a: Array, b: Array) -> Array:
 def _view(pose: Pose, frames: Array, origins: Array, rays: tuple[Array, Array, Array]) -> View:
     points, directions, normals = rays
     arrays = RayArrays.of(points, directions, normals, np.full(len(points), HALF_STRETCH_M), np.ones(len(points)))
-    return View(State.of(pose), frames, origins, arrays, normals)
+    return View(PoseState.of(pose), frames, origins, arrays, normals)

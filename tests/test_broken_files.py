@@ -25,7 +25,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig, save_rig
 from capture_rig.session import load_truth, stated_rate
 from capture_rig.yaml_file import save_mapping
-from icp_tracker.acquisition.initial_pose import load_initial_pose
+from icp_tracker.initialization.initial_pose import load_initial_pose
 from rig_calibration.boards.board import read_board
 from sagoma_bringup.graph import camera_from_file
 from sagoma_tools.calibration.rig_detections import read_corners

@@ -21,7 +21,7 @@ class Heard:
         self, node: Node, kind: type, topic: str, patience_s: float, keep: Callable[[Any], Any] = lambda message: None
     ) -> None:
         self._came, self._patience_s, self._keep, self.kept = threading.Condition(), patience_s, keep, list[Any]()
-        self._subscription = node.create_subscription(kind, topic, self._take, RESULT)
+        self._subscription = node.create_subscription(kind, topic, self._on_message, RESULT)
 
     def wait_for(self, count: int, chosen: Callable[[Any], bool] = lambda kept: True) -> bool:
         """True as soon as there are so many that are ``chosen``, False after the patience."""
@@ -32,7 +32,7 @@ class Heard:
         """True as soon as so many more have come."""
         return self.wait_for(len(self.kept) + count)
 
-    def _take(self, message: Any) -> None:
+    def _on_message(self, message: Any) -> None:
         kept = self._keep(message)
         with self._came:
             self.kept.append(kept)

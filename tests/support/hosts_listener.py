@@ -30,7 +30,7 @@ POINTS_TOPIC = "/mocap/reference_points"
 said: list[str] = []  # by the hull server
 
 
-def tell(**what: Any) -> None:
+def send(**what: Any) -> None:
     """Print one line."""
     print(json.dumps({"at_s": time.monotonic(), **what}), flush=True)
 
@@ -38,18 +38,18 @@ def tell(**what: Any) -> None:
 def on_frame_set(message: DiagnosticArray) -> None:
     values = {pair.key: pair.value for pair in message.status[0].values}
     times = {key: float(values[key]) for key in ("spread_ms", "received_ms")}
-    tell(stamp_ns=to_ns(message.header.stamp), missing=[name for name in values["missing"].split(",") if name], **times)
+    send(stamp_ns=to_ns(message.header.stamp), missing=[name for name in values["missing"].split(",") if name], **times)
 
 
 def on_answer(message: DiagnosticArray) -> None:
     """Print the filter's answer to an exposure."""
     stamp_ns = to_ns(message.header.stamp)
-    tell(stamp_ns=stamp_ns, age_ms=1e-6 * (time.time_ns() - stamp_ns))
+    send(stamp_ns=stamp_ns, age_ms=1e-6 * (time.time_ns() - stamp_ns))
 
 
 def on_points(message: PointCloud2) -> None:
     points_world = read_reference_points(message, POINTS_TOPIC).points_world
-    tell(stamp_ns=to_ns(message.header.stamp), points=points_world.round(4).tolist())
+    send(stamp_ns=to_ns(message.header.stamp), points=points_world.round(4).tolist())
 
 
 def on_diagnostics(message: DiagnosticArray) -> None:
@@ -57,7 +57,7 @@ def on_diagnostics(message: DiagnosticArray) -> None:
     for status in message.status:
         if status.name == "/hull_server" and said[-1:] != [status.message]:
             said.append(status.message)
-            tell(says=status.message)
+            send(says=status.message)
 
 
 def main() -> None:
@@ -73,7 +73,7 @@ def main() -> None:
             found = [camera for camera, topic in topics.items() if link.node.count_publishers(topic)]
             if found != known:
                 known = found
-                tell(known=found)
+                send(known=found)
 
 
 if __name__ == "__main__":

@@ -98,10 +98,10 @@ class Emulator:
                     for line in lines:
                         self.order(line.decode())
                     break  # the sockets are others now
-                self._take(self._directions[ready])
+                self._receive(self._directions[ready])
             self._send_due()
 
-    def _take(self, direction: Direction) -> None:
+    def _receive(self, direction: Direction) -> None:
         while True:
             try:
                 packet = direction.source.recv(PACKET_BYTES)

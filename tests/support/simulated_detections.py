@@ -19,11 +19,11 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.rig import save_rig
 from capture_rig.session import load_session
-from icp_tracker.acquisition.initial_pose import pose_from_reference
+from icp_tracker.initialization.initial_pose import pose_from_reference
 from mocap_packets.keypoints import NUMBERS, Detections
 from stick_figure.body import Body
 from stick_figure.least_squares.keypoint_factor import HIP_ASIDE_M
-from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
+from stick_figure.least_squares.posed_model import BodyModel, PosedModel, PoseState, place, surface_distances
 from stick_figure.skeleton import POINT_NAMES
 
 JOINTS = tuple(
@@ -47,7 +47,7 @@ def coco_joints(points_world: np.ndarray, wrist_fraction: float) -> np.ndarray:
     return np.array([at[name] for name in JOINTS])
 
 
-def hidden(joints_world: np.ndarray, placed: PlacedFigure, camera: CameraModel) -> np.ndarray:
+def hidden(joints_world: np.ndarray, placed: PosedModel, camera: CameraModel) -> np.ndarray:
     """Return which joints (n,) bool the body's own surface hides from a camera."""
     ways = camera.centre_world - joints_world
     steps = np.arange(FREE_M, np.linalg.norm(ways, axis=1).max(), STEP_M)
@@ -58,7 +58,7 @@ def hidden(joints_world: np.ndarray, placed: PlacedFigure, camera: CameraModel) 
 
 
 def detect(
-    joints_world: np.ndarray, placed: PlacedFigure, camera: CameraModel, stamp_ns: int, rng: np.random.Generator
+    joints_world: np.ndarray, placed: PosedModel, camera: CameraModel, stamp_ns: int, rng: np.random.Generator
 ) -> Detections:
     """Return what the detector finds of somebody in an image."""
     size, count = (camera.width, camera.height), len(joints_world)
@@ -105,7 +105,7 @@ def main() -> None:
     body = Body.from_points(points)
     for frame, own in zip(truth.frames.tolist(), truth.points_world, strict=True):
         pose = pose_from_reference(truth.frames, points, frame, "truth", body).pose
-        placed = place(State.of(pose), Figure.of(body))
+        placed = place(PoseState.of(pose), BodyModel.of(body))
         for name, found in tables.items():
             found[frame] = detect(coco_joints(own, truth.wrist_fraction), placed, session.rig.camera(name), 0, rng)
     for found in tables.values():

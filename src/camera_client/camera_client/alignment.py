@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
 
 MOST_STEPS, LAST_STEPS, CONVERGED_RAD = 8, 3, 2e-5
-# Thresholds: in standard deviations of the pixels' noise, measured by python bench/camera_movement.py.
+# Thresholds: in standard deviations of the pixels' noise, measured by python bench/camera_faults.py --moved.
 SCALE_QUANTILE, SCALE_QUANTILE_SIGMAS = 0.3, 0.385  # the typical residual's: more than half may be hidden
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this, and a place agrees
 FEW_POINTS, FEW_CELLS = 60, 12
@@ -199,7 +199,7 @@ POINTS_IN_CELL = 6
 SURROUNDINGS = 1 / 6  # of the picture's longer side: brightness is taken relative to the mean of so much around
 DARK_LEVEL = 8.0  # grey levels; keeps noise in black places small
 # Thresholds: SMOOTHED from the filter (1 2 1)/4; else, in standard deviations of the pixels' noise, measured by
-# python bench/camera_movement.py.
+# python bench/camera_faults.py --moved.
 SMOOTHED = (1 + 4 + 1) / 16  # what a smoothing by (1 2 1) / 4, across and down, leaves of the noise
 LEAST_NOISE = 0.4  # grey levels at working size: codecs smooth noise away, and what they leave is no signal
 FLAT = 0.012  # an edge that rises by less than this share of the brightness a pixel is none

@@ -2,7 +2,7 @@
 
 Silhouettes do not show it: when the camera is bumped, every edge of the room becomes foreground. The whole picture
 does, with a person in it, other lights, and a chair that was moved, unless the room has no edges. The thresholds
-were chosen with ``bench/camera_movement.py``.
+were chosen with ``bench/camera_faults.py --moved``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .background.model import BackgroundModel, Provenance
 from .frame_source import LASTING_S, REPORT_PERIOD_S, Image
 from .settings import CameraMovedSettings
 
-# Thresholds: chosen with python bench/camera_movement.py.
+# Thresholds: chosen with python bench/camera_faults.py --moved.
 SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
 MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved

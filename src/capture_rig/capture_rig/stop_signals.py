@@ -23,12 +23,12 @@ class StopOnSignal:
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> threading.Event:
-        self._previous = {number: signal.signal(number, self._take) for number in STOP_SIGNALS}
+        self._previous = {number: signal.signal(number, self._on_signal) for number in STOP_SIGNALS}
         return self.event
 
     def __exit__(self, *error: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
-    def _take(self, number: int, frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         threading.Thread(target=self.event.set, name="stop", daemon=True).start()

@@ -46,7 +46,7 @@ class UnseenCells(NamedTuple):
     def at(self, points_world: Array) -> Flags:
         """Return which of the points (n, 3), metres, are in unseen cells."""
         found = np.empty(len(points_world), np.bool_)
-        _look_up(self, np.ascontiguousarray(points_world, np.float64), found)
+        _read_cells(self, np.ascontiguousarray(points_world, np.float64), found)
         return found
 
     def rows_outside(self, points_world: Array) -> npt.NDArray[np.int64]:
@@ -80,7 +80,7 @@ def is_unseen(cells, x, y, z):
 
 
 @kernel
-def _look_up(cells, points, found):
+def _read_cells(cells, points, found):
     for n in range(points.shape[0]):
         found[n] = is_unseen(cells, points[n, 0], points[n, 1], points[n, 2])
 
@@ -113,7 +113,7 @@ class RigVisibility:
         points_world = np.ascontiguousarray(points_world, np.float64)
         seen = np.empty((len(self._views), len(points_world)), np.bool_)
         for view, seen_by_it in zip(self._views, seen, strict=True):
-            _look_through(view.camera.P, view.seen, points_world, seen_by_it)
+            _seen_pixels(view.camera.P, view.seen, points_world, seen_by_it)
         return seen.T
 
     def in_volume(self, points_world: Array) -> Flags:
@@ -148,7 +148,7 @@ class RigVisibility:
 
 
 @kernel
-def _look_through(P, seen, points, found):
+def _seen_pixels(P, seen, points, found):
     """found (n,) <- whether the pixel that each point (n, 3) projects to by P (3, 4) is one that a camera has seen."""
     height, width = seen.shape
     for n in range(points.shape[0]):

@@ -139,7 +139,7 @@ def add_measurement_bias(at, pose, lasting, joints, least_information, points, s
             state[i, j] += response[i, j]
 
 
-class TorsoBend:
+class TrunkBendFilter:
     """Estimate (7,) of the bend and its covariance, rest and what people bend by at first."""
 
     def __init__(self, scale: float) -> None:

@@ -19,7 +19,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .measurement import Measurement
 from .settings import EkfSettings
-from .track import POINT_SD_FLOOR_M, Track, enough_to_start
+from .track import POINT_SD_FLOOR_M, BodyTrack, enough_to_start
 
 NO_BODY = "waiting for the body"
 # Thresholds: judgement, no measurement.
@@ -43,7 +43,7 @@ class ArticulatedEkf:
 
     def reset(self) -> None:
         """Forget the state; the next set with a visible torso starts anew."""
-        self._track: Track | None = None
+        self._track: BodyTrack | None = None
         self._stamp_ns: int | None = None
 
     def set_body(self, body: Body) -> None:
@@ -64,7 +64,7 @@ class ArticulatedEkf:
             self._track.body = body
 
     @property
-    def track(self) -> Track:
+    def track(self) -> BodyTrack:
         """The body's track; ValueError while there is no state."""
         if self._track is None:
             raise ValueError("no track yet")
@@ -110,7 +110,7 @@ class ArticulatedEkf:
             lost = self._track.unmeasured_s > self.settings.lost_after_s and enough_to_start(z)
             if not lost and (state := self._track.update(z, doubtful, moved)) is not None:
                 return state
-        self._track = Track(self.body, self.settings, stamp_ns, z)  # from this measurement alone
+        self._track = BodyTrack(self.body, self.settings, stamp_ns, z)  # from this measurement alone
         return self._track.state(z, doubtful, np.zeros(15))
 
 

@@ -29,7 +29,7 @@ from .kernels import Estimate, report
 from .measurement import Sizes
 from .motion_model import POSE, VELOCITY
 from .settings import EkfSettings
-from .track import JOINT_SD_CAP_RAD, Track
+from .track import JOINT_SD_CAP_RAD, BodyTrack
 
 # Thresholds: rounding from arithmetic.
 SMALLEST_VARIANCE = 1e-12
@@ -51,7 +51,7 @@ class _Filtered:
     set's points, F (48, 48) from the set before, and what lasts of the points' errors (of `MeasurementBias`)."""
 
     state: BodyState
-    track: Track
+    track: BodyTrack
     body: Body
     before: Estimate
     after: Estimate

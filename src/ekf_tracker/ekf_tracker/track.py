@@ -13,7 +13,7 @@ from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import TORSO_POINTS
 
-from .bias import MeasurementBias, TorsoBend
+from .bias import MeasurementBias, TrunkBendFilter
 from .kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate, report
 from .measurement import Measurement, Sizes, linearised, squared_distances
 from .motion_model import (
@@ -46,14 +46,14 @@ NEEDED_TORSO_POINTS = 4
 ALL = np.ones(24, bool)
 
 
-class Track:
+class BodyTrack:
     """Estimate and memory of one body that is followed from a first measurement on.
 
     Needs :func:`enough_to_start` of that measurement. ``body`` may be set to other sizes of the same body.
     """
 
     def __init__(self, body: Body, settings: EkfSettings, stamp_ns: int, z: Measurement) -> None:
-        self.settings, self._trunk = settings, TorsoBend(settings.bend)
+        self.settings, self._trunk = settings, TrunkBendFilter(settings.bend)
         self._motion = motion_model(settings)
         limit_weight = 1.0 / settings.limit_sd_rad**2 if settings.limit_sd_rad else 0.0
         self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight)

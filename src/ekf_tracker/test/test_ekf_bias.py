@@ -9,7 +9,7 @@ from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, isotropic,
 from scipy.stats import chi2
 
 from capture_rig.rigid import rotation_matrix
-from ekf_tracker.bias import JOINT_SD_M, TorsoBend
+from ekf_tracker.bias import JOINT_SD_M, TrunkBendFilter
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.measurement import Measurement
 from ekf_tracker.settings import MeasurementBiasSettings
@@ -128,7 +128,7 @@ def measured(bend, sd_m=0.003, rng=None, visible=None):
 
 
 def test_shoulders_and_hips_lie_where_they_were_measured():
-    bent = TorsoBend(1.0).bent(BODY, 0, measured(BEND))
+    bent = TrunkBendFilter(1.0).bent(BODY, 0, measured(BEND))
     off = bent.torso_points[1:] - BODY.bent(BEND).torso_points[1:]
     off -= off.mean(axis=0)  # which way the torso itself faces is a matter of definition
     assert bent.bend[LEFT_Z] == pytest.approx(0.04, abs=0.005)
@@ -137,17 +137,17 @@ def test_shoulders_and_hips_lie_where_they_were_measured():
 
 
 def test_noise_is_averaged_over_sets_and_counted():
-    rng, trunk, found = np.random.default_rng(2), TorsoBend(1.0), []
+    rng, trunk, found = np.random.default_rng(2), TrunkBendFilter(1.0), []
     for k in range(200):
         found.append(trunk.bent(BODY, k * FRAME_NS, measured(np.zeros(BEND_NUMBERS), 0.01, rng)).bend[LEFT_Z])
-    once = TorsoBend(1.0).bent(BODY, 0, measured(np.zeros(BEND_NUMBERS), 0.01, rng))
+    once = TrunkBendFilter(1.0).bent(BODY, 0, measured(np.zeros(BEND_NUMBERS), 0.01, rng))
     assert np.std(found) < 0.5 * REST_SD[LEFT_Z]
     assert np.std(found) == pytest.approx(np.sqrt(trunk.covariance[LEFT_Z, LEFT_Z]), rel=0.5)
     assert np.abs(once.bend).max() > 0.0
 
 
 def test_bend_fades_to_rest_while_the_torso_is_hidden():
-    trunk, hidden = TorsoBend(1.0), np.ones(15, bool)
+    trunk, hidden = TrunkBendFilter(1.0), np.ones(15, bool)
     hidden[[2, 3]] = False
     trunk.bent(BODY, 0, measured(BEND))
     gone = trunk.bent(BODY, 2_000_000_000, measured(BEND, visible=hidden))

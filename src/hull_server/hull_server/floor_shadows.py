@@ -100,7 +100,7 @@ class ShadowResolver:
         """
         self._views.present(masks)
         resolved = dict(masks)
-        graded = [self._batch.take(camera, masks.get(name)) for camera, name in enumerate(self._views.names)]
+        graded = [self._batch.load(camera, masks.get(name)) for camera, name in enumerate(self._views.names)]
         for camera in np.flatnonzero(graded):
             name = self._views.names[camera]
             resolved[name] = masks[name].copy()

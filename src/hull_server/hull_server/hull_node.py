@@ -72,7 +72,7 @@ class HullNode(SagomaNode):
         if settings.thin_out and not settings.reliable:
             self._overload = OverloadControl(self, self._thinning)
             self._closing.append(self._overload.close)
-        self.silhouettes = SilhouetteInput(self, self._canvases, self._thinning, self._take)
+        self.silhouettes = SilhouetteInput(self, self._canvases, self._thinning, self._on_frame_set)
         self._closing.append(self.silhouettes.close)
 
     def _publish_frames(self, rig: Rig) -> None:
@@ -128,7 +128,7 @@ class HullNode(SagomaNode):
         publishers = (self._frame_set, *self._clouds.values(), *self._supports.values())
         self._closing += [self._products.close, *(publisher.close for publisher in publishers)]
 
-    def _take(self, frame_set: FrameSet[Mask]) -> None:
+    def _on_frame_set(self, frame_set: FrameSet[Mask]) -> None:
         """Hand a frame set to the carver's thread."""
         if self._carver is not None:
             closed_ns, stamp_ns = self.get_clock().now().nanoseconds, frame_set.stamp_ns

@@ -56,7 +56,7 @@ class CameraFaultSettings:
 
 
 @dataclass(frozen=True)
-class ContourSettings:
+class ContourRaySettings:
     """Which rays along the silhouettes' contours are published."""
 
     per_camera: int = setting(200, "most rays of a camera; 0: no contour rays", low=0, high=100_000)
@@ -77,7 +77,7 @@ class HullSettings:
     max_voxels: int = setting(3000, "size of the decimated voxel cloud, for each body", low=0, high=1_000_000)
     blob: BlobSettings = field(default_factory=BlobSettings)
     body: BodySettings = field(default_factory=BodySettings)
-    contour: ContourSettings = field(default_factory=ContourSettings)
+    contour: ContourRaySettings = field(default_factory=ContourRaySettings)
     camera_fault: CameraFaultSettings = field(default_factory=CameraFaultSettings)
 
 

@@ -38,7 +38,7 @@ class SilhouetteBatch:
         self._blind = np.where(seen > 0, np.uint8(0), np.uint8(BLIND)).view(np.uint64)
         self._absent = np.ones(cameras, bool)
 
-    def take(self, camera: int, mask: npt.NDArray[np.uint8] | None, within: Box | None = None) -> bool:
+    def load(self, camera: int, mask: npt.NDArray[np.uint8] | None, within: Box | None = None) -> bool:
         """Take the mask (h, w) of a camera's canvas, None of an absent one; return whether it shows uncertain levels.
 
         within : left, top, right, bottom of a box that holds all it shows, where one is known; the rest is not read.
@@ -51,11 +51,11 @@ class SilhouetteBatch:
             return False
         words = np.ascontiguousarray(mask).view(np.uint64)
         part = _nonzero_bounds(words) if within is None else (within[0] // 8, within[1], -(-within[2] // 8), within[3])
-        return bool(_take(words, part, self._blind[camera], self.words[camera], self.box[camera]))
+        return bool(_load(words, part, self._blind[camera], self.words[camera], self.box[camera]))
 
 
 @kernel
-def _take(mask_words, part, blind_words, level_words, box):  # type: ignore[no-untyped-def]
+def _load(mask_words, part, blind_words, level_words, box):  # type: ignore[no-untyped-def]
     """Write the levels of the ``part`` (left, top, right, bottom, in words and rows) of a mask, and its box (4,).
 
     The words are pixels, eight to a word. ``box`` comes with that of the mask before, whose levels are forgotten.

@@ -13,7 +13,7 @@ from hull_server.contour_rays.contour_tracer import ContourTracer, Scratch
 from hull_server.contour_rays.outlines import RADIUS_PX, find_edge, pick_contour_pixels, weights
 from hull_server.grid import BrickVolume
 from hull_server.hull_pipeline import HullPipeline
-from hull_server.settings import ContourSettings, HullSettings
+from hull_server.settings import ContourRaySettings, HullSettings
 from hull_server.slicing.skeletonisation import slice_hull
 from mocap_packets.frame_set import FrameSet
 
@@ -32,7 +32,7 @@ def hull_of(rig, masks, **settings):
 
 def traced(pipeline, masks, volume):
     """The contour rays of a hull that has not been sliced yet."""
-    return ContourTracer(pipeline.views, pipeline.grid, ContourSettings()).trace(masks, slice_hull(volume)[1])
+    return ContourTracer(pipeline.views, pipeline.grid, ContourRaySettings()).trace(masks, slice_hull(volume)[1])
 
 
 def centres_of(rig, rays):
@@ -157,11 +157,11 @@ def test_silhouettes_of_what_no_other_camera_sees_have_no_rays(rig, person):
 
 def test_settings_limit_the_rays_and_zero_switches_them_off(rig, person):
     _, masks, result = person
-    few = hull_of(rig, masks, contour=ContourSettings(per_camera=20)).products.contour_rays
+    few = hull_of(rig, masks, contour=ContourRaySettings(per_camera=20)).products.contour_rays
     assert 60 < len(few) <= 120 and np.bincount(few.camera).max() <= 20
-    wide = hull_of(rig, masks, contour=ContourSettings(spacing_px=25.0)).products.contour_rays
+    wide = hull_of(rig, masks, contour=ContourRaySettings(spacing_px=25.0)).products.contour_rays
     assert 100 < len(wide) < len(result.products.contour_rays) / 2
-    off = hull_of(rig, masks, contour=ContourSettings(per_camera=0)).products.contour_rays
+    off = hull_of(rig, masks, contour=ContourRaySettings(per_camera=0)).products.contour_rays
     assert len(off) == 0 and off.points_world.shape == off.normals.shape == (0, 3) and off.sigma.shape == (0,)
 
 

@@ -29,35 +29,33 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import SLACK_M, RayArrays, RayMatch, match_rays
-from stick_figure.least_squares.free_ends import CORRELATED, STIFF_SD, TURN_SD
+from stick_figure.least_squares.effective_information import SURFACE_SD_M
+from stick_figure.least_squares.extremities import RAYS_PER_INDEPENDENT_SAMPLE, STIFF_SD, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Stop, Weights
-from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
 from stick_figure.least_squares.normal_equations import TANGENT
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 from stick_figure.trunk_bend import with_joint_centres
 
-# Thresholds: the former chosen with python bench/people.py --ablation, in steps of about a half, the last
-# four with covariance_coverage.py among the benches of commit d6079d2.
-# of the fit; checked by bench/people.py --ablation on rendered and real sessions
+# Thresholds: chosen with python bench/people.py on rendered and real sessions, in steps of about a half; UNSEEN_SD to
+# UNKNOWN_SD_M by the share of true points inside their 95 % ellipsoids (`inside_95` there).
 POINT_GATE_M = 0.08  # distance at which a centerline point's weight has fallen to 1/4
 STICK_SD_M = 0.03  # of a perfect centerline point from its stick: a body is no stick figure
 TOLERANCE_M = 0.002  # converged when an iteration moves no reference point farther than this
-SURFACE_SAMPLES, HULL_SAMPLES = 1000, 1000  # voxels of the surface, and with the interior, that stand for the hull
+SURFACE_SAMPLES, HULL_SAMPLES = 1000, 1000  # sampled voxels of the surface, and of surface and interior
 RAYS = 1200  # contour rays that are used
-# of what is known without data; twice and three times as wide loses arms of stylised people (people.py --makers)
-POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
-# of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
-UNSEEN_SD = 0.5  # m, rad, of what no row bears on, about a joint's free range to either side: a forearm's 15 cm
+# prior about the start; twice and three times as wide loses arms of stylised people (bench/people.py --makers)
+POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad
+UNSEEN_SD = 0.5  # m, rad, of unobserved slots of the tangent: a joint's free range to either side, a forearm's 15 cm
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
-UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
+UNKNOWN_SD_M = 10.0  # standard deviation of an unknown point
 PRIOR_SD = np.repeat([POSITION_SD_M, ROTATION_SD, BALL_SD], [3, 3, TANGENT - 6])
 PRIOR_SD[kernels.HINGE_SLOT] = HINGE_SD
 PRIOR = PRIOR_SD**-2
-LONGEST_S = 0.1  # between two sets: after a longer gap motion and evidence are those of so long
-GUESS = 3.0  # so many times as wide is the prior of a fit that starts from a guess
+LONGEST_S = 0.1  # longest interval between two sets that motion and evidence are scaled to
+GUESS = 3.0  # factor of the prior's width in a fit that starts from a guess
 UNSEEN = np.full(TANGENT, UNSEEN_SD**-2)
 # sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
 # hands, feet
@@ -91,8 +89,8 @@ class ContourSettings:
 class ArticulatedSettings:
     """Settings of the all-joints solve.
 
-    model_sigma_m : distance of a perfect centerline point from its stick. prior : how far a pose may leave its start
-    where no datum says otherwise, over the PRIOR_SD. max_iterations : of Gauss-Newton.
+    model_sigma_m : distance of a perfect centerline point from its stick. prior : standard deviations about the start,
+    over PRIOR_SD. max_iterations : of Gauss-Newton.
     """
 
     volume: VolumeSettings = field(default_factory=VolumeSettings)
@@ -113,7 +111,7 @@ class FitResult:
 
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
-    matched : what the rays were matched to.
+    matched : the rays' match.
     """
 
     pose: Pose
@@ -126,7 +124,7 @@ class FitResult:
 
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
     """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
-    state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
+    state, figure, weights = PoseState.of(start), BodyModel.of(body), make_weights(data, settings)
     stop = Stop(settings.max_iterations, TOLERANCE_M, HINGE_MARGIN_RAD)
     iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
     return state.pose(), iterations, moved
@@ -135,14 +133,14 @@ def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings)
 def assess(
     body: Body, pose: Pose, data: Data, iterations: int, converged: bool, settings: ArticulatedSettings
 ) -> FitResult:
-    """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
+    """Evaluate the data at ``pose``: residuals, information, reference points and their covariance.
 
-    The covariance of a point is what the independent rows of this set determine: ``J H^-1 J^T`` with the H of
-    :mod:`stick_figure.least_squares.independent_rows`. Most of it lasts for many sets (the filter's share); where in a
-    limb a joint is (the filter's joint uncertainty) is not in it.
+    The covariance of a point is ``J H^-1 J^T``, H the set's :mod:`stick_figure.least_squares.effective_information`.
+    Most of it lasts for many sets (the filter's share); a joint's place in its limb (the filter's joint uncertainty) is
+    not in it.
     """
     weights = make_weights(data, settings)
-    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, UNSEEN)
+    found = gauss_newton.assess(data, PoseState(*pose.arrays), BodyModel.of(body), weights, UNSEEN)
     points_world, covariance, counts, rms_m, near_sticks, matched = found
     if not settings.contour.rigid and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
@@ -163,8 +161,8 @@ def make_data(
     """Lay out the data. A point's variance is its own noise and the model's, added in quadrature; its gate is wider by
     GATE_SIGMAS of its own noise.
 
-    Beyond the rig's ``visibility`` there is no hull: its cut ends are no surface, and slices that reach beyond are cut
-    off their middle. Neither is used.
+    Where the hull is cut by the limits of the rig's ``visibility``, its faces are not the body's surface, and slices
+    have wrong centroids. Neither is used.
     """
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
@@ -189,7 +187,7 @@ def make_data(
 
 
 def rays_in_use(rays: ContourRays, visibility: RigVisibility | None = None) -> ContourRays:
-    """Return the rays that a fit uses: those that touch the hull where the rig shows it, thinned."""
+    """Return the rays that a fit uses: those that touch the hull within the rig's view, thinned."""
     if visibility is not None:
         in_sight = visibility.unseen_cells.rows_outside(rays.points_world)
         rays = rays.chosen(in_sight) if len(in_sight) < len(rays) else rays
@@ -205,8 +203,8 @@ def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarra
     """
     if not rays.time_s.any():
         return rays
-    figure, span_s = Figure.of(body), np.abs(rays.time_s).max()
-    now, then = (place(State.of(each), figure) for each in (pose, pose.retract(velocity * span_s)))
+    figure, span_s = BodyModel.of(body), np.abs(rays.time_s).max()
+    now, then = (place(PoseState.of(each), figure) for each in (pose, pose.retract(velocity * span_s)))
     arrays = ray_arrays(rays, np.ones(len(rays)))
     match, share = match_rays(arrays, now, SLACK_M), (rays.time_s / span_s)[:, None]
     starts, ends = (then.P - now.P)[match.capsule], (then.Q - now.Q)[match.capsule]
@@ -215,7 +213,7 @@ def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarra
 
 
 def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
-    """Lay out the rays with their share of the weight of all of them."""
+    """Lay out the rays with each one's share of the total weight."""
     trust = SURFACE_SD_M**2 / (SURFACE_SD_M**2 + rays.sigma**2)  # a ray less certain than the surface counts less
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
     return ray_arrays(rays, information)
@@ -227,17 +225,17 @@ def ray_arrays(rays: ContourRays, information: np.ndarray) -> RayArrays:
 
 
 def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
-    """Turn the settings into information: what counts how much."""
+    """Turn the settings into information of each term."""
     volume, one, voxels = settings.volume, 1.0 / settings.model_sigma_m**2, len(data.voxels)
     return Weights(
         prior=PRIOR / settings.prior**2,
         voxel=volume.weight * one / voxels if voxels else 0.0,
-        ends=CORRELATED / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
+        ends=RAYS_PER_INDEPENDENT_SAMPLE / (STIFF_SD if settings.contour.rigid else TURN_SD) ** 2,
     )
 
 
 def unknown_covariance() -> np.ndarray:
-    """Return the (15, 3, 3) covariance of points about which nothing is known."""
+    """Return the covariance (15, 3, 3) m^2 of unknown points."""
     return np.broadcast_to(np.eye(3) * UNKNOWN_SD_M**2, (15, 3, 3)).copy()
 
 

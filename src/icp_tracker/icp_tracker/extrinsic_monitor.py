@@ -1,15 +1,15 @@
 """Monitors each camera's extrinsic calibration by the contour rays of tracked bodies.
 
-A contour ray touches the body, so what is left of its distance from the fitted surface is zero on average, whatever the
-pose, the clothes and the clutter behind. Where it is not, in one camera, and goes with where the body stands, that
-camera is elsewhere than its calibration says: a small motion of the camera moves every ray by a known amount, and six
-numbers explain all of them. They are solved for by least squares, weighted as in the fit, beside a silhouette that is
-larger all around; twice, from the odd and from the even seconds. What both halves agree on is no noise of either: the
-scalar product of the two shifts that they find for the rays is without bias (cross-validation: Stone, "Cross-validatory
-choice", JRSS B 1974). A surface that errs leaves 1 to 6 mm, a camera that was turned by a degree 10 mm and more.
+A contour ray touches the body, so its residual distance from the fitted surface is zero on average, whatever the pose,
+the clothes and the clutter behind. If it is not, in one camera, and varies with the body's place, that camera has moved
+from its calibration: a small motion of the camera moves every ray by a known amount, and six numbers explain all of
+them. They are solved for by least squares, weighted as in the fit, together with a uniform growth of the silhouette;
+twice, from the odd and from the even seconds. The scalar product of the two solutions' shifts of the rays has no bias
+from noise (cross-validation: Stone, "Cross-validatory choice", JRSS B 1974). Errors of the surface leave 1 to 6 mm, a
+camera that was turned by a degree 10 mm and more.
 
-Against the epipolar tangents of whole silhouettes (Sinha, Pollefeys and McMillan 2004) this needs no silhouette that is
-whole, and no person who is alone.
+Unlike the epipolar tangents of whole silhouettes (Sinha, Pollefeys and McMillan 2004) this works with cut silhouettes
+and with several persons.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.hull import ContourRays
 from stick_figure.least_squares.contour_factor import SURFACE_GATE_M, RayMatch
-from stick_figure.least_squares.independent_rows import SURFACE_SD_M
+from stick_figure.least_squares.effective_information import SURFACE_SD_M
 
-from .refinement.trunk_bend import RAYS_OF_A_DATUM
+from .refinement.bend_estimator import RAYS_OF_A_DATUM
 
 Array = npt.NDArray[np.float64]
 
 # Thresholds: chosen with recordings of rendered people of four makers, two real rooms, and cameras turned by 0.5 and 1
 # degree, pushed by 5 cm (bench/camera_faults.py --moved).
-PERIOD_S, LONGEST_S = 0.1, 0.5  # from one set that is measured to the next; and what one counts for at most
-MEMORY_S = 20.0  # of what was measured
+PERIOD_S, LONGEST_S = 0.1, 0.5  # between measured sets; largest interval that one set counts for
+MEMORY_S = 20.0  # time constant of the sums
 BLOCK_S = 1.0  # errors of two blocks are independent
-LEAST_S = 1.5  # before anything is said
-SETTLING_S = 2.0  # after so long chance may be as large as the limit
-MOTION_M = 0.03  # by which a body has to move: while it holds still its surface errs as it did before
-SPREAD_M = 0.25  # root mean square of the places: who stays in one errs alike in both halves
-ENOUGH_CAMERAS = 5  # fewer do not tell which of them has moved: the fit follows each by its share
-NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: what the others show of one camera's error, at most
+LEAST_S = 1.5  # of measurements before a camera is judged
+SETTLING_S = 2.0  # of measurements after which noise may reach the limit: the limit is doubled then
+MOTION_M = 0.03  # least movement of a body between measured sets: errors of one that holds still repeat
+SPREAD_M = 0.25  # least root mean square of the places: in one place the surface errs alike in both halves
+ENOUGH_CAMERAS = 5  # of fewer it is not known which one has moved, as the fit yields to each by its share
+NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: largest shifts that one camera's error causes in others
 MISSING = 1.5  # times the limit while a camera is left out: the bodies' sizes may be learnt with its errors
 FEWEST_CAMERAS, FEWEST_RAYS = 3, 10  # of a set
-CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.003], [3, 3, 1])  # rad, m, and rad of growth: what befalls cameras
+CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.003], [3, 3, 1])  # prior: rotation rad, translation m, growth rad
 CAMERA = 6  # numbers of a camera's motion; the growth of its silhouettes follows
 
 
@@ -60,8 +60,8 @@ class CalibrationSettings:
 
 @dataclass(frozen=True, eq=False)
 class ExtrinsicErrors:
-    """By how much (m, root mean square over its rays) each camera shows the bodies beside where the others do; and of
-    cameras that have moved, a message with the remedy."""
+    """Shift (m, root mean square over its rays) of the bodies in each camera against the others; and for each camera
+    that has moved a message with the remedy."""
 
     shift_m: Mapping[str, float] = field(default_factory=dict)
     suspects: Mapping[str, str] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class ExtrinsicErrors:
 
 @dataclass(frozen=True, eq=False)
 class ContourResiduals:
-    """A fitted body: reference points (15, 3), m, its contour rays (n), and what each is matched to; world frame."""
+    """A fitted body: reference points (15, 3), m, its contour rays (n) and their match; world frame."""
 
     points_world: Array
     rays: ContourRays
@@ -87,8 +87,8 @@ class ExtrinsicMonitor:
         """Forget what was measured."""
         self.errors = ExtrinsicErrors()
         self._halves = [[_Sums() for _ in self._rig.cameras] for _ in range(2)]
-        self._places = np.zeros(4)  # how many were measured, and sums of x, y and their squares
-        self._last: dict[int, Array] = {}  # of each person, the points when they were measured
+        self._places = np.zeros(4)  # count of measured places, sums of x, of y and of their squares
+        self._last: dict[int, Array] = {}  # each person's points when last measured
         self._last_ns: int | None = None
 
     def is_due(self, stamp_ns: int) -> bool:
@@ -98,7 +98,7 @@ class ExtrinsicMonitor:
         return self._last_ns is None or not 0 <= stamp_ns - self._last_ns < PERIOD_S * NS_PER_S
 
     def update(self, stamp_ns: int, bodies: Iterable[tuple[int, ContourResiduals]]) -> ExtrinsicErrors:
-        """Measure the fitted bodies of one frame set, by person; return what is known of the cameras."""
+        """Add the fitted bodies of one frame set, by person; return the cameras' errors."""
         passed_s = PERIOD_S if self._last_ns is None else (stamp_ns - self._last_ns) / NS_PER_S
         moved = [(person, body) for person, body in bodies if self._has_moved(person, body)]
         self._last_ns = stamp_ns
@@ -124,8 +124,8 @@ class ExtrinsicMonitor:
         return last is None or float(np.linalg.norm(body.points_world - last, axis=1).mean()) > MOTION_M
 
     def _equations(self, number: int, bodies: list[ContourResiduals]) -> tuple[Array, Array, Array]:
-        """Return by how much the rays (k) of one camera lie outside of the surface, m; its derivatives (k, 7) by a
-        motion of the camera (rotation vector and translation, in its frame) and by growth, rad; and weights (k,)."""
+        """Return the distances (k,) m of one camera's rays outside the surface; their derivatives (k, 7) by a motion of
+        the camera (rotation vector and translation, in its frame) and by growth, rad; and weights (k,)."""
         camera, parts = self._rig.cameras[number], []
         for body in bodies:
             own = body.rays.camera == number
@@ -139,9 +139,9 @@ class ExtrinsicMonitor:
         return y, J, w
 
     def _estimate(self) -> ExtrinsicErrors:
-        """Return the shifts that both halves agree on, and who is suspected."""
+        """Return the shifts that both halves agree on, and the suspected cameras."""
         names, shift_m, limits_m = self._rig.names, dict[str, float](), dict[str, float]()
-        drawn = 1.0 - 1.0 / len(names)  # what is left of a shift: the fit follows every camera by its share
+        drawn = 1.0 - 1.0 / len(names)  # share of a shift that remains, as the fit yields to every camera by its share
         for camera, odd, even in zip(names, *self._halves, strict=True):
             seconds = odd.seconds + even.seconds
             if min(odd.seconds, even.seconds) >= 0.25 * LEAST_S and seconds >= LEAST_S:
@@ -168,8 +168,8 @@ def _moved_text(cameras: str, shift_m: float) -> str:
 
 
 class _Sums:
-    """The normal equations of one camera: A (7, 7) and b (7,); of_rays (6, 6) sum of the squares of what a motion does
-    to its rays; how many rays and seconds they are of."""
+    """The normal equations of one camera: A (7, 7) and b (7,); of_rays (6, 6), sum of J^T J over its rays by a motion;
+    the numbers of rays and seconds."""
 
     def __init__(self) -> None:
         self.A, self.b, self.of_rays = np.zeros((CAMERA + 1,) * 2), np.zeros(CAMERA + 1), np.zeros((CAMERA,) * 2)
@@ -184,7 +184,7 @@ class _Sums:
         y, J, w = equations
         if len(y) < FEWEST_RAYS or not (np.isfinite(y).all() and np.isfinite(J).all()):
             return
-        # of a set that stands for a block all its data count, of neighbours in time their share
+        # sets of one block are correlated: together they count as one set
         information = step_s / BLOCK_S / (RAYS_OF_A_DATUM * SURFACE_SD_M**2)
         self.A = self.A + information * (J * w[:, None]).T @ J
         self.b = self.b + information * (J * w[:, None]).T @ y

@@ -1,7 +1,4 @@
-"""The node: everything of the hull in; everybody's fits out.
-
-One packet a set holds everybody: the filter knows from it who is there, and waits for nobody else.
-"""
+"""The node: hull products in, everybody's fits out, in one packet a set."""
 
 from __future__ import annotations
 
@@ -139,7 +136,7 @@ class IcpNode(SagomaNode):
         return response
 
     def _restart(self) -> None:
-        """Begin anew with stamps that went back; the lock is held."""
+        """Reset when stamps have gone back; the lock is held."""
         self._forget_people()
         self._feedback.forget()
         if self._keypoints is not None:
@@ -152,7 +149,7 @@ class IcpNode(SagomaNode):
         self._logged = {}
 
     def _on_silence(self, silent_s: float) -> None:
-        """Report that no frame sets come; a fit that comes reports for itself."""
+        """Report that no frame sets come."""
         self.health.status(WARN, f"no frame sets for {silent_s:.0f} s: do the hull server and the cameras run?")
 
     # --- one frame set, on the worker's thread -------------------------------------------------------------------
@@ -200,7 +197,7 @@ class IcpNode(SagomaNode):
             self._bodies_publisher.publish(lambda: String(data=format_bodies(others, source="icp_tracker")))
 
     def _publish(self, fits: tuple[Fit, ...], acquiring: tuple[str, ...]) -> None:
-        """Publish and log how the fits went."""
+        """Publish and log the state of the fits."""
         self._fit_publisher.publish(fit_message, fits, self.settings.method)
         self.health.tick(fits[0].stamp_ns)
         self.health.set("late_predictions", self._feedback.timeouts)
@@ -212,7 +209,7 @@ class IcpNode(SagomaNode):
             self._log_state(fit)
 
     def _report_cameras(self, errors: ExtrinsicErrors) -> None:
-        """Remember how far cameras are from their calibration; log who is newly suspected."""
+        """Keep the cameras' calibration errors; log newly suspected cameras."""
         if errors is self._errors:
             return
         new = {*errors.suspects} - {*self._errors.suspects}
@@ -221,14 +218,14 @@ class IcpNode(SagomaNode):
         self._errors = errors
 
     def _describe(self) -> Mapping[str, object]:
-        """How far each camera is from its calibration, for the diagnostics."""
+        """Return the cameras' calibration errors for the diagnostics."""
         shifts = " ".join(f"{name}={1e3 * m:.1f}" for name, m in self._errors.shift_m.items())
         return {"calibration_suspects": ",".join(self._errors.suspects), "calibration_shift_mm": shifts}
 
     def _log_state(self, fit: Fit) -> None:
-        """Log how it stands with a person when that has changed, once in PERIOD_S at most."""
+        """Log a person's state when it has changed, once in PERIOD_S at most."""
         who = "" if fit.person == FIRST_PERSON else f"person {fit.person}: "
-        # while looking for a first pose every new reason tells the person what to do; later ones hold changing figures
+        # before the first pose every new reason is an instruction to the person; later ones hold changing figures
         state = _state_of(fit) if fit.state == ACQUIRING else fit.state
         now_s = time.monotonic()
         logged, logged_s = self._logged.get(fit.person, ("", now_s - PERIOD_S))
@@ -249,8 +246,8 @@ class IcpNode(SagomaNode):
 
 
 def summary_of(fits: tuple[Fit, ...], acquiring: tuple[str, ...] = ()) -> str:
-    """Return in one line how it stands with everybody: of one person alone state and reason; ``acquiring`` : why each
-    body that is nobody's yet has no first pose."""
+    """Return everybody's state in one line, of one person alone with the reason; ``acquiring`` : why each newcomer has
+    no first pose yet."""
     if len(fits) == 1 and not acquiring:
         return _state_of(fits[0])
     people = [f"{fit.person} {fit.state}" + (f" ({fit.reason})" if fit.reason else "") for fit in fits]
@@ -263,7 +260,7 @@ def _state_of(fit: Fit) -> str:
 
 
 def fit_message(fits: tuple[Fit, ...], method: str) -> DiagnosticArray:
-    """Return how the fits of one set went, for icp/fit: one status a person, the first person's first.
+    """Return the message of icp/fit for the fits of one set: one status a person, the first person's first.
 
     Holds no clock times, so equal inputs give equal bytes.
     """

@@ -1,5 +1,4 @@
-"""What the node has besides the tracker: the service that saves the body, what detectors of 2D poses found, and the
-filter's awaited answer."""
+"""ROS parts of the node: the service that saves bodies, inputs of 2D pose detectors, and the filter's feedback."""
 
 from __future__ import annotations
 
@@ -44,15 +43,15 @@ class SaveBodyService:
         self._service = node.create_service(Trigger, "~/save_body", self._on_save)
 
     def keep(self, person: int, stamp_ns: int, body: Body) -> None:
-        """Remember the body of a person who is followed, from a set on; any thread."""
+        """Keep the newest body of a tracked person, valid from a set on; any thread."""
         self._newest = self._newest | {person: (stamp_ns, body)}
 
     def forget(self) -> None:
-        """Forget everybody: nobody is followed any more; any thread."""
+        """Forget all bodies; any thread."""
         self._newest = {}
 
     def close(self) -> None:
-        """Take the service back."""
+        """Destroy the service."""
         self._node.destroy_service(self._service)
 
     def _on_save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -74,14 +73,14 @@ class SaveBodyService:
 
 
 class KeypointInputs:
-    """Collects what the users' detectors publish on CAM/keypoints, and gives what was found in a frame set's images.
+    """Collects detections that users' detectors publish on CAM/keypoints, and returns those of a frame set.
 
     A message is a cloud of one point a skeleton and one field a joint, of `mocap_packets.keypoints.NUMBERS` each; its
     stamp is that of the image.
     """
 
     def __init__(self, node: SagomaNode, rig: Rig, wait_s: float, recent_s: float) -> None:
-        """A set waits ``wait_s`` at most for cameras of which something came within ``recent_s`` before it."""
+        """A set waits ``wait_s`` at most for cameras whose last detections are less than ``recent_s`` older."""
         self._node, self._rig, self._wait_s, self._recent_ns = node, rig, wait_s, recent_s * NS_PER_S
         self._found = {name: deque[Detections](maxlen=KEPT_IMAGES) for name in rig.names}
         self._changed = threading.Condition()
@@ -94,7 +93,7 @@ class KeypointInputs:
         ]
 
     def of_set(self, stamp_ns: int) -> Keypoints:
-        """Return the joints that were found within half a period of a frame set."""
+        """Return the joints detected within half a period of a frame set."""
         half_ns = 0 if self._last_ns is None else max(stamp_ns - self._last_ns, 0) // 2
         self._last_ns = stamp_ns
 
@@ -107,14 +106,14 @@ class KeypointInputs:
         return keypoints_of(self._rig, (one for one in images if off_ns(one) <= half_ns))
 
     def forget(self) -> None:
-        """Begin anew with stamps that went back; any thread."""
+        """Reset when stamps have gone back; any thread."""
         with self._changed:
             self._last_ns = None
             for found in self._found.values():
                 found.clear()
 
     def close(self) -> None:
-        """Listen no longer, and end a wait."""
+        """Destroy the subscriptions and end a wait."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self.forget()
@@ -141,10 +140,10 @@ class KeypointInputs:
 
 
 class FilterFeedback:
-    """Hands the fit of set k the filter's state after set k-1, as soon as it is there, or after a bounded wait.
+    """Provides the fit of set k with the filter's state after set k-1, after a bounded wait.
 
-    A filter that did not answer in time is not waited for again until it answers: then its newest state serves.
-    ``timeouts`` counts the waits in vain.
+    A filter that did not answer in time is not waited for again until it answers; its newest state is used meanwhile.
+    ``timeouts`` counts the waits that ended without an answer.
     """
 
     def __init__(self, wait_s: float) -> None:
@@ -156,19 +155,19 @@ class FilterFeedback:
         self.waiting, self.timeouts = False, 0
 
     def update(self, predictions: Predictions) -> None:
-        """Add a state that arrived (any thread); one of a set that was not sent yet is none of ours."""
+        """Update the state (any thread); states of sets that were not sent yet are ignored."""
         with self._changed:
             if self._sent_ns is not None and predictions.stamp_ns <= self._sent_ns:
                 self._newest, self._silent = predictions, False
                 self._changed.notify_all()
 
     def sent(self, stamp_ns: int) -> None:
-        """Remember the set whose fits go out: the filter will answer with its stamp."""
+        """Set the stamp of the fits that go out; the filter answers with it."""
         with self._changed:
             self._sent_ns = stamp_ns
 
     def forget(self) -> None:
-        """Forget what was sent and what was answered: stamps begin anew, and may be those of earlier answers."""
+        """Reset when stamps have gone back: they may repeat those of earlier answers."""
         with self._changed:
             self._sent_ns = self._newest = None
 
@@ -179,8 +178,8 @@ class FilterFeedback:
             self._changed.notify_all()
 
     def after_previous_set(self) -> Mapping[int, Prediction]:
-        """Return each person's state after the set last sent, or the newest before it when that did not come in time;
-        nobody's when there is none."""
+        """Return each person's state after the set last sent, or the newest earlier one when that did not come in time;
+        empty without any."""
         with self._changed:
             if self._sent_ns is None:
                 return {}

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
 
-from .acquisition.pose_source import InitialPoseSettings
 from .articulated_fit import ArticulatedSettings
 from .extrinsic_monitor import CalibrationSettings
+from .initialization.pose_source import InitialPoseSettings
 from .monitor.track_monitor import RecoverySettings
 from .refinement.body_refiner import RefinementSettings
 from .thesis.hierarchical_icp import DESCENDANT_WEIGHT
@@ -41,7 +41,7 @@ MOST_PERSONS = 4  # in one volume: more hide each other from most cameras of a r
 
 @dataclass(frozen=True)
 class PeopleSettings:
-    """How many persons are followed."""
+    """How many persons are tracked."""
 
     max: int = setting(MOST_PERSONS, "persons that are followed at most", low=1, high=MOST_PERSONS)
 

@@ -9,7 +9,7 @@ from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS
 from stick_figure.kinematics import sticks
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.gauss_newton import Data
-from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place, surface_distances
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
 
@@ -63,7 +63,7 @@ def fit(body, start, points, sigma_m=0.0, voxels=NO_VOXELS, settings=None, conto
 
 def placed(body, pose):
     """The body of average build in a pose, as the kernels take it."""
-    return place(State.of(pose), Figure.of(body))
+    return place(PoseState.of(pose), BodyModel.of(body))
 
 
 def voxels(body, pose, spacing=0.03):

@@ -13,9 +13,9 @@ from mocap_packets.hull import ContourRays
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward, sticks
 from stick_figure.least_squares.contour_factor import RayArrays, add_contour, match_rays
-from stick_figure.least_squares.free_ends import CORRELATED, STIFF_SD, straight_ends
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.extremities import RAYS_PER_INDEPENDENT_SAMPLE, STIFF_SD, straight_extremities
 from stick_figure.least_squares.point_factor import add_point_residuals, match_points
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, HEAD
 
@@ -162,8 +162,8 @@ def test_a_ray_beyond_the_hulls_stretch_belongs_to_the_other_of_two_limbs_in_lin
     P, Q = np.array([[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]]), np.array([[2.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
     surface = BodySurface(np.zeros(2, int), P, Q, np.full((2, 2), 0.05))
     upright = Pose(np.zeros(3), np.eye(3), np.tile(np.eye(3), (5, 1, 1)), np.zeros(4))
-    torso_at_zero = Figure(np.ones(10), np.zeros((10, 3)), surface)
-    two_limbs = place(State.of(upright), torso_at_zero)
+    torso_at_zero = BodyModel(np.ones(10), np.zeros((10, 3)), surface)
+    two_limbs = place(PoseState.of(upright), torso_at_zero)
     at = [np.array([[x, 0.05, 0.5]]) for x in (2.0, 3.0)]
     rays = [
         ContourRays(p, np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.1]), np.ones(1), np.zeros(1))
@@ -176,14 +176,14 @@ def test_the_gradient_of_the_squared_distances_is_the_pull(ray_scene):
     body, pose, rays = ray_scene
     rng = np.random.default_rng(6)
     off = disturbed(pose, rng, 0.05, 0.02)
-    match, radii = match_rays(as_arrays(rays), synthetic.placed(body, off), 0.05), Figure.of(body).surface.radii
+    match, radii = match_rays(as_arrays(rays), synthetic.placed(body, off), 0.05), BodyModel.of(body).surface.radii
     _, g = synthetic.equations(
         add_contour,
         as_arrays(rays),
         match,
         synthetic.placed(body, off),
         synthetic.WIDE_M,
-        straight_ends(CORRELATED / STIFF_SD**2),
+        straight_extremities(RAYS_PER_INDEPENDENT_SAMPLE / STIFF_SD**2),
     )
 
     def cost(slot, step):

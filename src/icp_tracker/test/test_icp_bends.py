@@ -10,12 +10,12 @@ import synthetic_people as synthetic
 from capture_rig.rigid import rotation_matrix
 from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, VolumeSettings, make_data, minimise
 from icp_tracker.monitor.evidence import match_to
-from icp_tracker.refinement.trunk_bend import TrunkBend
+from icp_tracker.refinement.bend_estimator import TrunkBendEstimator
 from mocap_packets.hull import NO_VOXELS
 from stick_figure.body import BEND_NUMBERS, Body
-from stick_figure.body_surface import END_CAPSULES, BodySurface
+from stick_figure.body_surface import EXTREMITY_CAPSULES, BodySurface
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.posed_model import BodyModel, PoseState
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
 
 BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0))
@@ -31,15 +31,15 @@ def followed():
     and without it."""
     rng, body = np.random.default_rng(5), Body.from_stature(1.75)
     pose, bent = made.moving_pose(rng), body.bent(BEND)
-    rays = made.rays_on(bent, Figure.of(bent).surface, pose, rng, each=40)
+    rays = made.rays_on(bent, BodyModel.of(bent).surface, pose, rng, each=40)
     errors = []
     for settings in (BENDS, RIGID):
-        trunk, found = TrunkBend(settings), pose
+        trunk, found = TrunkBendEstimator(settings), pose
         data = make_data(np.zeros((1, 3)), 0.0, NO_VOXELS, settings, rays)
         for k in range(60):
             found, _, _ = minimise(trunk.of(body), found, data, settings)
-            match = match_to(Figure.of(trunk.of(body)), State.of(found), data)
-            trunk.look(k * FRAME_NS, body, found, data.contour_rays, match)
+            match = match_to(BodyModel.of(trunk.of(body)), PoseState.of(found), data)
+            trunk.update(k * FRAME_NS, body, found, data.contour_rays, match)
         errors.append(np.linalg.norm(forward(trunk.of(body), found) - forward(bent, pose), axis=1))
     return trunk, errors
 
@@ -61,7 +61,7 @@ def test_rigid_torso_stays_at_rest(followed):
 
 FREE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=20)
 STIFF = replace(FREE, contour=ContourSettings(rigid=True))
-HAND, FOOT = END_CAPSULES[0], END_CAPSULES[2]
+HAND, FOOT = EXTREMITY_CAPSULES[0], EXTREMITY_CAPSULES[2]
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ add to the covariance of its points."""
 import numpy as np
 from t_pose_studio import person, standing, studio
 
-from icp_tracker.acquisition import body_sizes
-from icp_tracker.acquisition.body_sizes import covariance_of_sizes
-from icp_tracker.acquisition.hull_source import HullSource, TPoseSettings
-from icp_tracker.acquisition.t_pose_sizes import with_t_pose
+from icp_tracker.initialization import body_sizes
+from icp_tracker.initialization.body_sizes import covariance_of_sizes
+from icp_tracker.initialization.hull_source import HullSource, TPoseSettings
+from icp_tracker.initialization.t_pose_sizes import with_t_pose
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose

@@ -10,9 +10,9 @@ import pytest
 from poses import angles_with
 from t_pose_studio import DOWN, SET_NS, Studio, box, person, standing, studio
 
-from icp_tracker.acquisition import truncation
-from icp_tracker.acquisition.hull_source import HullSource, MotionSettings, TPoseSettings
-from icp_tracker.acquisition.pose_hypothesis import STEP_M
+from icp_tracker.initialization import truncation
+from icp_tracker.initialization.hull_source import HullSource, MotionSettings, TPoseSettings
+from icp_tracker.initialization.pose_hypothesis import STEP_M
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from stick_figure.body import Body
 from stick_figure.body_surface import build_of_girth

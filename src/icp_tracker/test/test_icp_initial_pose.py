@@ -7,7 +7,7 @@ import yaml
 from pose_file import save_initial_pose
 
 from capture_rig.errors import InputError
-from icp_tracker.acquisition.initial_pose import load_initial_pose, pose_from_reference
+from icp_tracker.initialization.initial_pose import load_initial_pose, pose_from_reference
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
 

@@ -14,9 +14,9 @@ from sensor_msgs.msg import PointCloud2, PointField
 from test_icp_track_monitor import FOLDED, STANCE, moved, posed, seen, stamp, walked
 
 from capture_rig.rig import save_rig
-from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
 from icp_tracker.icp_node import IcpNode
+from icp_tracker.initialization.initial_pose import KnownPose
 from icp_tracker.monitor.pose_library import LIMBS
 from icp_tracker.people.association import Expected, associate_skeletons
 from icp_tracker.people.people_tracker import PeopleTracker
@@ -29,7 +29,7 @@ from sagoma_ros.qos import RESULT
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import RayArrays, match_rays
 from stick_figure.least_squares.keypoint_factor import HIP_ASIDE_M, offsets_m
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.rig import ring
 
@@ -93,7 +93,7 @@ def test_joints_of_coco_have_their_places_and_what_cannot_be_used_is_left_out(bo
     values = np.column_stack([camera.project(np.array(places)), np.tile([4.0, 1.0, 9.0, 0.5], (6, 1))])
     values[4, 0], values[5, 3] = np.nan, 7.0  # not found; a covariance that is none
     keypoints = keypoints_of(RIG, [Detections(camera.name, 0, coco, values[None])])
-    off = offsets_m(keypoints, place(State.of(pose), Figure.of(body)))
+    off = offsets_m(keypoints, place(PoseState.of(pose), BodyModel.of(body)))
     assert len(off) == 3 and np.abs(off).max() < 1e-6
     np.testing.assert_allclose(keypoints.score, 0.5)
     fx, fy = camera.K.diagonal()[:2]
@@ -122,7 +122,7 @@ def hidden_arm(body):
     pose = posed(STANCE)
     rays = grazing_rays(body, pose, np.random.default_rng(8))
     arrays = RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, np.ones(len(rays)))
-    placed = place(State.of(pose), Figure.of(body))
+    placed = place(PoseState.of(pose), BodyModel.of(body))
     stick = placed.surface.stick[match_rays(arrays, placed, 0.05).capsule]
     return pose, rays.chosen((stick != LIMBS[0].upper) & (stick != LIMBS[0].lower)), synthetic.voxels(body, pose)
 

@@ -9,12 +9,12 @@ from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces
 NEAR, FAR, SHOWN = 0.2, 0.6, 15.0  # m, m, samples of a limb in view
 
 
-def places(*rivals, samples=SHOWN, left_over=0.0):
+def places(*rivals, samples=SHOWN, unexplained=0.0):
     """Other places of an arm, best first: margin (samples), how far off (m), and which of the known ones it is."""
     margins, apart, origins = np.array(sorted(rivals, reverse=True), float).reshape(-1, 3).T
     ends = np.zeros((len(margins), 2, 3))
     ends[:, :, 1] = apart[:, None]
-    return LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), samples, left_over, origins.astype(int))
+    return LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), samples, unexplained, origins.astype(int))
 
 
 def after(*sets, dt_s=1 / 60, hidden=False):
@@ -56,9 +56,9 @@ def test_what_was_seen_a_moment_ago_is_not_unseen_at_once_unless_it_reaches_beyo
 
 
 def test_as_much_left_over_as_explained_makes_doubtful_though_no_other_place_was_found():
-    assert after(*[places(left_over=SHOWN)] * 30).not_as_tracked > DOUBTFUL
-    assert after(*[places(left_over=SHOWN / 3)] * 30).not_as_tracked < 0.1
-    assert not after(*[places(left_over=2.0 * SHOWN)] * 30).is_unseen
+    assert after(*[places(unexplained=SHOWN)] * 30).not_as_tracked > DOUBTFUL
+    assert after(*[places(unexplained=SHOWN / 3)] * 30).not_as_tracked < 0.1
+    assert not after(*[places(unexplained=2.0 * SHOWN)] * 30).is_unseen
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.extrinsic_monitor import ExtrinsicErrors
 from icp_tracker.icp_node import IcpNode, fit_message
+from icp_tracker.initialization.initial_pose import KnownPose
 from icp_tracker.tracker import IcpTracker, fits_nothing
 from mocap_packets.hull import Centerline, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.people import Predictions, parse_bodies

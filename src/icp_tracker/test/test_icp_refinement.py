@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import refinement_rays as made
 
-from icp_tracker.acquisition.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, prior_sizes
-from icp_tracker.acquisition.initial_pose import InitialPose
+from icp_tracker.initialization.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, prior_sizes
+from icp_tracker.initialization.initial_pose import InitialPose
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement import shape as shapes
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
@@ -17,8 +17,8 @@ from mocap_packets.hull import HullProducts
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.body_surface import BodySurface, build_of_girth
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, straight_ends, turn_ends
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.extremities import ANGLES, COUNT, straight_extremities, turn_extremities
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 H = 1.75
@@ -177,14 +177,14 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
 
 
 def turned(pose, figure, turns):
-    placed, ends = place(State.of(pose), figure), straight_ends(1.0)
+    placed, ends = place(PoseState.of(pose), figure), straight_extremities(1.0)
     ends.turns[:] = turns
-    turn_ends(ends, placed)
+    turn_extremities(ends, placed)
     return placed
 
 
 def capsules_at(values, pose, bend, turns):
-    figure = Figure.of(shapes.body_of(values).bent(bend))
+    figure = BodyModel.of(shapes.body_of(values).bent(bend))
     placed = turned(pose, figure, turns)
     return placed.P, placed.Q, figure.surface.radii
 

@@ -12,8 +12,8 @@ from refinement_rays import grazing_rays
 from scipy.spatial.transform import Rotation
 
 from capture_rig.visibility import CELL_M, UnseenCells
-from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
+from icp_tracker.initialization.initial_pose import KnownPose
 from icp_tracker.monitor import pose_library
 from icp_tracker.monitor.body_filter import CHECKS
 from icp_tracker.monitor.evidence import LEFT_ARM, SLACK_M, evidence_of
@@ -26,7 +26,7 @@ from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import match_rays
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import Pose
 
 FPS = 60.0
@@ -122,13 +122,13 @@ def data_in(hull):
 
 
 def test_the_true_pose_explains_the_outlines_and_no_joint_is_beyond_its_range(person):
-    evidence = evidence_of(Figure.of(person.body), person.pose, data_of(person))
+    evidence = evidence_of(BodyModel.of(person.body), person.pose, data_of(person))
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * len(evidence.costs)
     assert evidence.beyond < 1.0
     leg = pose_library.LimbPoses.of(person.pose, pose_library.LIMBS[2])
     through = with_limb(person.pose, pose_library.LIMBS[2], leg.R[0], 3.6)  # the calf in the thigh
-    assert evidence_of(Figure.of(person.body), through, data_of(person)).beyond > 3.0
+    assert evidence_of(BodyModel.of(person.body), through, data_of(person)).beyond > 3.0
 
 
 # --- where limbs can be -------------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     astray = with_limb(
         person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5}).R_joints[limb.ball], -0.1
     )
-    places = other_places(Figure.of(person.body), astray, limb, data, pose_library.limb_poses(limb))
+    places = other_places(BodyModel.of(person.body), astray, limb, data, pose_library.limb_poses(limb))
     assert places.margins[0] > 5.0 and places.apart_m[0] > ELSEWHERE_M
     assert (np.diff(places.margins) <= 0.0).all()
     found = with_limb(astray, limb, places.poses.R[0], places.poses.flexion[0])
@@ -156,7 +156,7 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
 
 @pytest.mark.parametrize("limb", pose_library.LIMBS, ids=lambda limb: PART_NAMES[limb.part])
 def test_a_limb_in_full_view_has_no_other_place(person, limb):
-    places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), pose_library.limb_poses(limb))
+    places = other_places(BodyModel.of(person.body), person.pose, limb, data_of(person), pose_library.limb_poses(limb))
     assert places.samples > 1.8 * CHANCE_SAMPLES
     assert (places.margins < -1.5).all()
 
@@ -175,8 +175,8 @@ def assessed(person, poses, datas, monitor=None):
 
 def without_rays_of(person, sticks):
     """The set without the rays that show some sticks."""
-    data, figure = data_of(person), Figure.of(person.body)
-    match = match_rays(data.contour_rays, place(State.of(person.pose), figure), SLACK_M)
+    data, figure = data_of(person), BodyModel.of(person.body)
+    match = match_rays(data.contour_rays, place(PoseState.of(person.pose), figure), SLACK_M)
     kept = ~np.isin(figure.surface.stick[match.capsule], sticks)
     return data._replace(contour_rays=data.contour_rays.chosen(kept, data.contour_rays.information[kept]))
 

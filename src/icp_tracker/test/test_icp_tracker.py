@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import synthetic_people as synthetic
 
-from icp_tracker.acquisition.initial_pose import InitialPose, KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings
+from icp_tracker.initialization.initial_pose import InitialPose, KnownPose
 from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts

@@ -8,9 +8,9 @@ from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, mak
 from mocap_packets.hull import VoxelSamples
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.gauss_newton import loose_hull_weight
-from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
+from stick_figure.least_squares.gauss_newton import hull_slack_weight
 from stick_figure.least_squares.point_factor import add_surface
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place, surface_distances
 
 STEP = 1e-6
 LEFT_ELBOW, LEFT_HAND = 7, 11
@@ -49,10 +49,10 @@ def test_normal_equations_of_voxels_are_those_of_finite_difference_derivatives(b
     rng = np.random.default_rng(4)
     pose = synthetic.smooth_motion(5, seed=3)[4]
     voxels = surface_of(body, pose.retract(0.02 * rng.normal(size=24)), rng, 200)
-    figure = Figure.of(body)
+    figure = BodyModel.of(body)
     # without taper: a taper tilts the surface against the axis, which the solver's normal leaves out
     radii = np.repeat(BodySurface.of(body).radii.mean(1, keepdims=True), 2, axis=1)
-    even = place(State.of(pose), figure._replace(surface=figure.surface._replace(radii=radii)))
+    even = place(PoseState.of(pose), figure._replace(surface=figure.surface._replace(radii=radii)))
     distances_m = surface_distances(voxels, even)
     H, g = synthetic.equations(add_surface, voxels, distances_m, even, 1.0, synthetic.WIDE_M)
 
@@ -108,7 +108,7 @@ def test_loose_hull_weighs_less_than_a_tight_one(body):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
         weights = make_weights(data, settings)
         _, _, distance = surface_distances(data.voxels, synthetic.placed(body, truth))
-        return loose_hull_weight(weights, distance) / weights.voxel
+        return hull_slack_weight(weights, distance) / weights.voxel
 
     assert share(tight) > 0.8
     assert share(loose) < 0.5 * share(tight)

@@ -149,7 +149,7 @@ class FrameSetCollector(Generic[T]):
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
         """Close the sets that wait for nobody or are past their deadline; none overtakes an older one."""
-        closed = self._follow_majority(now_ns) if self._held else []
+        closed = self._update_time(now_ns) if self._held else []
         due = 0
         for index, candidate in enumerate(self._open):
             expired = now_ns - candidate.opened_ns >= self.deadline_ns
@@ -164,7 +164,7 @@ class FrameSetCollector(Generic[T]):
 
     def flush(self) -> list[FrameSet[T]]:
         """Close every open set, complete or not: the end of a recording."""
-        closed = self._follow_majority(self._held[0].arrival_ns + self._held_for_ns) if self._held else []
+        closed = self._update_time(self._held[0].arrival_ns + self._held_for_ns) if self._held else []
         return closed + self._close(len(self._open))
 
     # --- where the rig is
@@ -183,7 +183,7 @@ class FrameSetCollector(Generic[T]):
         behind_ns = self._last_ns.get(arrived.camera, tail_ns) - arrived.stamp_ns
         return max(behind_ns, arrived.stamp_ns - self._time_ns) > self._jump_ns
 
-    def _follow_majority(self, now_ns: int) -> list[FrameSet[T]]:
+    def _update_time(self, now_ns: int) -> list[FrameSet[T]]:
         """Take the held frames that are where the rig is; drop the others once there was time for every camera's.
 
         The rig jumps when all its cameras have, or at the end of that time when most have that were heard within it.

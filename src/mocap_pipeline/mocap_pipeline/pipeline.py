@@ -155,13 +155,13 @@ class TrackingStage:
 
     def fit(self, products: HullProducts) -> tuple[Fit, ...]:
         """Find first poses, later fit the stick figures to the hull from where they are expected (4.3;
-        icp_tracker/people/ for data association; icp_tracker/tracker.py with acquisition/, articulated_fit.py,
+        icp_tracker/people/ for data association; icp_tracker/tracker.py with initialization/, articulated_fit.py,
         monitor/, refinement/, thesis/)."""
         return self.tracker.step(products, self._predictions)
 
     def filter(self, fits: tuple[Fit, ...]) -> dict[int, BodyState | NoState]:
         """Correct the predictions with the fitted reference points (5.2; ekf_tracker/filter.py, track.py)."""
-        # a body is measured with the first pose; its sizes are refined as it moves (acquisition/, refinement/)
+        # a body is measured with the first pose; its sizes are refined as it moves (initialization/, refinement/)
         bodies = {fit.person: body for fit in fits if (body := self.tracker.body_of(fit.person)) is not None}
         # extended Kalman filter over pose and velocity, predicted to this stamp (tables 5.5 and 5.7)
         answers = self.filters.step(FittedPeople(fits[0].stamp_ns, PeoplePoints.of_fits(fits), bodies))

@@ -9,7 +9,7 @@ from simulated_detections import coco_joints, detect, hidden, write_detections
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from ekf_tracker.filter import PeopleFilter
-from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.initialization.initial_pose import KnownPose
 from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.frame_set import FrameSet
@@ -18,7 +18,7 @@ from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import load_detections
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from virtual_studio.motions.catalogue import MOTIONS, t_pose_only
 from virtual_studio.motions.together import TOGETHER
 from virtual_studio.people import VolumetricBody, people_of_sizes, together
@@ -57,7 +57,7 @@ def test_detections_of_a_folder_move_the_fit_and_are_refused_with_the_column_tha
     standing, t_pose, tmp_path
 ):
     (rig, masks, points), (pipeline, _, stamp_ns) = t_pose, standing
-    placed = place(State.of(t_pose_only(BODY, 0.1, 60.0).poses[0]), Figure.of(BODY))
+    placed = place(PoseState.of(t_pose_only(BODY, 0.1, 60.0).poses[0]), BodyModel.of(BODY))
     joints, rng = coco_joints(points, 1.0), np.random.default_rng(1)
     for camera in rig.cameras:
         write_detections(tmp_path, {7: detect(joints, placed, camera, 0, rng)})

@@ -11,15 +11,15 @@ from capture_rig.rigid import transform
 from rig_calibration.boards.board import TargetDetection
 from rig_calibration.bundle.initial_poses import require_connected
 from rig_calibration.bundle.problem import DetectionPoses, TargetShape, poses_of, target_shape
-from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
+from rig_calibration.bundle.state import BundleState, Layout, Observations, linearise, residuals_px
 
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
 
 
-def state_and_observations(rng: np.random.Generator, fisheye: bool = False) -> tuple[State, Observations]:
+def state_and_observations(rng: np.random.Generator, fisheye: bool = False) -> tuple[BundleState, Observations]:
     """Two cameras, three poses of two targets, four detections."""
     lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(7)]])
-    state = State(
+    state = BundleState(
         rotation([0.1, -0.2, 0.05])[None] @ np.stack([np.eye(3), rotation([0, 0.3, 0])]),
         np.array([[0, 0, -2.0], [0.8, 0.1, -1.9]]),
         lens,

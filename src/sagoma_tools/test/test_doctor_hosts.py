@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sagoma_tools.doctor import hosts
-from sagoma_tools.doctor.hosts import FULL_BYTES, HEADERS, Peer, RosSettings, ask_peer, hears_multicast, serve
+from sagoma_tools.doctor.hosts import FULL_BYTES, HEADERS, Peer, RosSettings, query_peer, receives_multicast, serve
 from sagoma_tools.doctor.machine import Interface
 
 HERE, THERE = "10.0.0.1", "10.0.0.2"
@@ -73,10 +73,10 @@ def far_end(monkeypatch):
 
 
 def test_settings_of_the_nodes_there_are_asked_for_each_once_and_multicast_is_heard(far_end):
-    peer = ask_peer("127.0.0.1", far_end)
+    peer = query_peer("127.0.0.1", far_end)
     assert [node.domain for node in peer.nodes] == [7, 8]
     assert (peer.here, peer.there, peer.port_open) == ("127.0.0.1", "127.0.0.1", True)
-    assert hears_multicast("127.0.0.1", "127.0.0.1", 7400 + 250 * 97, far_end)
+    assert receives_multicast("127.0.0.1", "127.0.0.1", 7400 + 250 * 97, far_end)
 
 
 def test_an_answer_is_never_larger_than_its_question(far_end, monkeypatch):
@@ -85,17 +85,17 @@ def test_an_answer_is_never_larger_than_its_question(far_end, monkeypatch):
         other.settimeout(20.0)
         other.sendto(hosts._question(FULL_BYTES), ("127.0.0.1", far_end))
         assert len(other.recv(65536)) == FULL_BYTES - HEADERS
-    assert ask_peer("127.0.0.1", far_end) is None  # cut, it is no answer
+    assert query_peer("127.0.0.1", far_end) is None  # cut, it is no answer
 
 
 def test_packets_of_others_are_ignored_and_nobody_who_answers_is_no_peer(far_end):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         for packet in (b"", b"sagoma", b"x" * 40, b"sagoma?", b"sagoma?\xff", b"sagoma?\0\1"):
             other.sendto(packet, ("127.0.0.1", far_end))
-    assert ask_peer("127.0.0.1", far_end) is not None
+    assert query_peer("127.0.0.1", far_end) is not None
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
-        assert ask_peer("127.0.0.1", silent.getsockname()[1]) is None
+        assert query_peer("127.0.0.1", silent.getsockname()[1]) is None
 
 
 @pytest.mark.parametrize(

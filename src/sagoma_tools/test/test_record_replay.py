@@ -204,7 +204,7 @@ def test_cameras_and_persons_but_the_first_are_found_as_they_appear(link, far_li
     for publisher in said:
         publisher.publish(String(data="a body"))
     recorder = Recorder(link.node, tmp_path / "bag", [])
-    recorder.follow()
+    recorder.add_new_sources()
     publishers = connected_publishers(far_link)
     publishers.publish(silhouette("cam01", 0))
     assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)

@@ -21,9 +21,9 @@ from sagoma_tools.takes.folder import TakesFolder, describe
 from sagoma_tools.view.control import ALL_FORMATS, Jobs, export_files
 from sagoma_tools.view.graph_panel import states_html
 from sagoma_tools.view.page import Page
-from sagoma_tools.view.scene import GREEN, RED, Figure, confidence_colours
+from sagoma_tools.view.scene import GREEN, RED, PersonPose, confidence_colours
 from sagoma_tools.view.server import Guard
-from sagoma_tools.view.takes_panel import Playback, about_html, first_pose_ns, last_frame
+from sagoma_tools.view.takes_panel import TakePlayback, about_html, first_pose_ns, last_frame
 from stick_figure.skeleton import POINT_NAMES
 
 FRAMES = 50
@@ -59,7 +59,7 @@ def test_one_job_runs_at_a_time_and_a_failure_is_said():
 
 
 def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes):
-    playback = Playback.of(takes.find("walk"))
+    playback = TakePlayback.of(takes.find("walk"))
     assert playback.begins_ns == EPOCH_NS and playback.seconds == pytest.approx((FRAMES - 1) * PERIOD_NS / 1e9)
     playback.playing = False
     now_s, figure = time.monotonic(), None
@@ -81,7 +81,7 @@ def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes)
 
 def test_a_take_begins_at_its_first_pose_holds_it_over_gaps_and_waits_while_nobody_looks(tmp_path, take_at):
     missing = [*range(20), *range(30, 33)]
-    playback = Playback.of(describe(take_at(tmp_path / "late", FRAMES, missing=missing)))
+    playback = TakePlayback.of(describe(take_at(tmp_path / "late", FRAMES, missing=missing)))
     assert last_frame(playback.motions["b0001"], EPOCH_NS + 32 * PERIOD_NS) == 9
     assert playback.seconds == pytest.approx((FRAMES - 1) * PERIOD_NS / 1e9)  # from the first set, with nobody there
     assert playback.position_s == playback.first_pose_s == pytest.approx(20 * PERIOD_NS / 1e9)
@@ -113,7 +113,7 @@ def test_the_page_of_a_take_opens_on_its_first_pose_with_the_take_chosen_and_nam
 
 
 def test_curves_are_two_a_plot_in_degrees_with_the_signs_that_are_named(takes):
-    playback = Playback.of(takes.find("walk"))  # of somebody in the T-pose, who is lost for ten frames
+    playback = TakePlayback.of(takes.find("walk"))  # of somebody in the T-pose, who is lost for ten frames
     plots = {title: (times_s, sides) for title, times_s, sides in playback.plots("b0001")}
     assert list(plots) == ["knee flexion", "elbow flexion", "shoulder elevation", "hip flexion"]
     for title, (times_s, sides) in plots.items():
@@ -158,6 +158,6 @@ def test_results_have_an_age_where_the_stamps_of_the_cameras_are_the_time_of_exp
 def test_sure_points_are_green_unsure_ones_red_and_all_of_somebody_lost():
     sigma = np.full(15, 0.01)
     sigma[POINT_NAMES.index("left_hand")] = 0.3
-    colours = confidence_colours(Figure(np.zeros((15, 3)), sigma, "tracking"))
+    colours = confidence_colours(PersonPose(np.zeros((15, 3)), sigma, "tracking"))
     assert (colours[POINT_NAMES.index("left_hand")] == RED).all() and (colours[0] == GREEN).all()
-    assert (confidence_colours(Figure(np.zeros((15, 3)), sigma, "lost")) == RED).all()
+    assert (confidence_colours(PersonPose(np.zeros((15, 3)), sigma, "lost")) == RED).all()

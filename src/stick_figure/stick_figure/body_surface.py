@@ -68,7 +68,7 @@ PARTS = {
 }
 """The capsules: the sticks they are fixed to, the left one first."""
 CAPSULES = sum(len(sticks) for sticks in PARTS.values())
-END_CAPSULES, END_STICKS = (10, 11, 16, 17), (L_FOREARM, R_FOREARM, L_CALF, R_CALF)
+EXTREMITY_CAPSULES, EXTREMITY_STICKS = (10, 11, 16, 17), (L_FOREARM, R_FOREARM, L_CALF, R_CALF)
 """Hands and feet among the capsules, left first, and their sticks."""
 _ARM_STICKS = (L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM)
 GIRTH_SD = 0.1

@@ -113,7 +113,7 @@ TINTS_BGR = np.array(
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RoomView:
     """What a camera sees of the empty room.
 
     rays (h, w, 3) unit viewing directions, world frame; grey (h, w) reflected light 0..1; floor_xy (h, w, 2) where
@@ -138,7 +138,7 @@ def pixel_rays(camera: CameraModel) -> Array:
     return np.ascontiguousarray(rays.reshape(camera.height, camera.width, 3))
 
 
-def view_room(camera: CameraModel) -> View:
+def view_room(camera: CameraModel) -> RoomView:
     """Returns the room through a camera, lens distortion included. The camera must be inside the room."""
     h, w = camera.height, camera.width
     pixels = pixel_rays(camera)
@@ -151,10 +151,10 @@ def view_room(camera: CameraModel) -> View:
         grey[on] = _paint(s, hits[on])
     floor = np.where((surface == FLOOR)[:, None], hits[:, :2], np.nan)
     floor_xy = floor.reshape(h, w, 2).astype(np.float32)
-    return View(pixels, grey.reshape(h, w).astype(np.float32), floor_xy, surface.reshape(h, w))
+    return RoomView(pixels, grey.reshape(h, w).astype(np.float32), floor_xy, surface.reshape(h, w))
 
 
-def open_door(camera: CameraModel, view: View, share: float = 1.0) -> View:
+def open_door(camera: CameraModel, view: RoomView, share: float = 1.0) -> RoomView:
     """Returns the room with the door of wall +x open by a share of its width: a dim corridor is seen behind it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = (HALF_WIDTH_M - camera.centre_world[0]) / view.rays[..., 0]

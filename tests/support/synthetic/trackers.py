@@ -9,8 +9,8 @@ import numpy as np
 
 from ekf_tracker.filter import PeopleFilter
 from ekf_tracker.settings import EkfSettings
-from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings
+from icp_tracker.initialization.initial_pose import KnownPose
 from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.thesis.hierarchical_icp import DESCENDANT_WEIGHT
 from icp_tracker.tracker import IcpTracker, TrackerSettings

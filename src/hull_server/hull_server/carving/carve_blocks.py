@@ -184,7 +184,7 @@ def count_votes(scene, low, octant, candidates, settled, mixed, work):  # type: 
         if mixed[slot] >> octant & 1:
             camera = scene.present[slot]
             find_pixels(scene, scene.levels.shape[1] - 1, camera, low, work.pixels)
-            foreground, allowed = _look(scene.levels, camera, work.pixels)
+            foreground, allowed = _read_levels(scene.levels, camera, work.pixels)
             candidates &= allowed | ~once
             once |= ~allowed
             if candidates == 0:
@@ -238,7 +238,7 @@ def find_pixels(scene, outside, camera, low, pixels):  # type: ignore[no-untyped
 
 
 @kernel
-def _look(levels, camera, pixels):  # type: ignore[no-untyped-def]
+def _read_levels(levels, camera, pixels):  # type: ignore[no-untyped-def]
     """Return the voxels (one word each) whose pixel is foreground, and those whose pixel is not background."""
     foreground, allowed = np.uint64(0), np.uint64(0)
     for voxel in range(63, -1, -1):

@@ -48,7 +48,7 @@ class CpuCarver:
         self._coarse = block_boxes(views, grid, COARSE_EDGE, seen_table)
         self._bricks = block_boxes(views, grid, BRICK_EDGE, seen_table)
         self._batch, self._squares = SilhouetteBatch(views.seen, outside=8), SummedSquares(views.seen)
-        self._scene = Scene(
+        self._scene = CarveInputs(
             projections=projections,
             voxel_steps=voxel_steps(projections),
             octant_steps=octant_steps(projections),
@@ -77,7 +77,7 @@ class CpuCarver:
         present, filled = self.views.present(masks), []
         for camera in present:
             name = self.views.names[camera]
-            self._batch.take(camera, masks[name], (boxes or {}).get(name))
+            self._batch.load(camera, masks[name], (boxes or {}).get(name))
             filled.append(self._squares.fill(camera, self._batch.words[camera], self._batch.box[camera]))
         cameras = present[np.argsort(filled, kind="stable")]  # those with little foreground empty most blocks
         scene = self._scene._replace(present=cameras, min_seeing=min_seeing, vetoes=vetoes)
@@ -88,7 +88,7 @@ class CpuCarver:
         """Nothing to release."""
 
 
-class Scene(NamedTuple):
+class CarveInputs(NamedTuple):
     """The calibration (fixed) and the silhouettes of one frame set.
 
     projections (N, 3, 4): voxel index to pixel. sizes (N, 2): canvases. seen_table (N, H + 1, W + 1).
@@ -146,7 +146,7 @@ class Work(NamedTuple):
 
 
 @kernel
-def carve(scene: Scene, coarse: BlockBoxes, bricks: BlockBoxes, index, leaves, work: Work):  # type: ignore[no-untyped-def]
+def carve(scene: CarveInputs, coarse: BlockBoxes, bricks: BlockBoxes, index, leaves, work: Work):  # type: ignore[no-untyped-def]
     """Write the occupied bricks to ``index`` (k,), ascending, and ``leaves`` (k, 8); return k."""
     everyone = (1 << scene.present.size) - 1
     for block in range(work.states.shape[0]):

@@ -159,7 +159,7 @@ def mark_supported(boxes, coarse_boxes, pictures, votes, space, sure, half):  # 
     """
     agreed, ratio = 0, _COARSE_EDGE // _EDGE
     for at in range(space.coarse[0] * space.coarse[1] * space.coarse[2]):
-        showing, _ = _look(coarse_boxes, pictures, votes, at)
+        showing, _ = _count_votes(coarse_boxes, pictures, votes, at)
         if popcount(np.uint64(showing)) < 2:
             continue
         x0, y0 = at % space.coarse[0] * ratio, at // space.coarse[0] % space.coarse[1] * ratio
@@ -169,14 +169,14 @@ def mark_supported(boxes, coarse_boxes, pictures, votes, space, sure, half):  # 
                 for x in range(x0, min(x0 + ratio, space.blocks[0])):
                     if _within(space.bodies, x, y, z) == votes.of_bodies:
                         block = (z * space.blocks[1] + y) * space.blocks[0] + x
-                        showing, denying = _look(boxes, pictures, votes, block)
+                        showing, denying = _count_votes(boxes, pictures, votes, block)
                         if popcount(np.uint64(showing)) >= 2:
                             agreed |= _mark_block(boxes, block, (showing, denying), votes, sure, half)
     return agreed
 
 
 @kernel
-def _look(boxes, pictures, votes, block):  # type: ignore[no-untyped-def]
+def _count_votes(boxes, pictures, votes, block):  # type: ignore[no-untyped-def]
     """Return the bits of the voters that show foreground in a block, and of those that see all of it without any."""
     showing, denying = 0, 0
     for camera in range(boxes.visibility.shape[0]):

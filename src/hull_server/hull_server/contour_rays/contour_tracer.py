@@ -19,7 +19,7 @@ from capture_rig.kernel import kernel, njit
 from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
 
 from ..grid import VoxelGrid
-from ..settings import ContourSettings
+from ..settings import ContourRaySettings
 from ..slicing.voxel_runs import HullRuns
 from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
@@ -39,7 +39,7 @@ COLUMNS = 12  # of the table as the kernels fill it: point, direction, normal, h
 class ContourTracer:
     """Traces the contour rays of frame sets. One thread at a time: it keeps scratch memory."""
 
-    def __init__(self, views: RigViews, grid: VoxelGrid, settings: ContourSettings) -> None:
+    def __init__(self, views: RigViews, grid: VoxelGrid, settings: ContourRaySettings) -> None:
         self._views, self._grid = views, grid
         self._weights = weights()
         self._cameras = [_camera(P, seen) for P, seen in zip(views.P, views.seen, strict=True)]

@@ -83,7 +83,7 @@ def _find_outlines(box, scratch, shortest_px):  # type: ignore[no-untyped-def]
                     u = 8 * (first + word) + (lowest_bit(tops) >> 3)
                     tops &= tops - np.uint64(1)
                     if scratch.marks[v, u] == 0:
-                        end = _follow(scratch, u, v, begin)
+                        end = _trace(scratch, u, v, begin)
                         if scratch.along[end - 1] >= shortest_px:
                             total += scratch.along[end - 1]
                             scratch.ends[count] = begin = end
@@ -92,7 +92,7 @@ def _find_outlines(box, scratch, shortest_px):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
+def _trace(scratch, u, v, n):  # type: ignore[no-untyped-def]
     """Append the outline along the top of a pixel to ``path`` and ``along``; return the new number of rows.
 
     Marks the pixels along whose top it runs. Has no branches, which could not be predicted.

@@ -26,7 +26,7 @@ BESIDE_M = 0.25  # a person's parts side by side have middles no farther apart: 
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class HullParts:
     """The p parts of a hull that do not touch, in the order of their first voxels. Metres, map frame.
 
     litres : (p,). centroid_world, low_world, high_world : (p, 3) centre of mass and box.
@@ -42,7 +42,7 @@ class Parts:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies(Parts):
+class Bodies(HullParts):
     """The b persons of a hull: its parts that are large enough for a body's, joined where they are one's.
 
     number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
@@ -103,7 +103,7 @@ class BodyTracker:
         return numbers
 
 
-def _whose(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _whose(parts: HullParts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return to which person (m,) 0, 1, ... each of the chosen parts belongs, in the order of the persons' first."""
     low, high = parts.low_world[chosen, 2], parts.high_world[chosen, 2]
     middle, height = parts.centroid_world[chosen, :2], high - low
@@ -117,7 +117,7 @@ def _whose(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]
     return np.asarray(np.unique(first, return_inverse=True)[1])
 
 
-def _joined(parts: Parts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.int64]) -> Parts:
+def _joined(parts: HullParts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.int64]) -> HullParts:
     """Return the persons that the chosen parts make up."""
     persons, mine = int(whose.max(initial=-1)) + 1, parts.litres[chosen]
     litres = np.bincount(whose, mine, persons).astype(np.float64)
@@ -125,14 +125,14 @@ def _joined(parts: Parts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.i
     np.add.at(moment, whose, mine[:, None] * parts.centroid_world[chosen])
     np.minimum.at(low, whose, parts.low_world[chosen])
     np.maximum.at(high, whose, parts.high_world[chosen])
-    return Parts(litres, moment / litres[:, None], low, high)
+    return HullParts(litres, moment / litres[:, None], low, high)
 
 
-def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:
+def measure_parts(runs: HullRuns, grid: VoxelGrid) -> HullParts:
     """Measure volume, place and extent of every part of the hull, however small."""
     sums, low, high = _sum_parts(runs, int(runs.part.max(initial=-1)) + 1)
     corner, size = grid.origin + runs.low * grid.voxel_size, grid.voxel_size
-    return Parts(
+    return HullParts(
         litres=sums[:, 0] * (grid.voxel_volume_m3 * 1e3),
         centroid_world=corner + (sums[:, 1:] / sums[:, :1] + 0.5) * size,
         low_world=corner + low * size,
@@ -161,7 +161,7 @@ def _sum_parts(runs, parts):  # type: ignore[no-untyped-def]
     return sums, low, high
 
 
-def _nearest_box(parts: Parts, chosen: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], Array]:
+def _nearest_box(parts: HullParts, chosen: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], Array]:
     """Find the nearest of the chosen parts (p,), by the gap between boxes, then by centroids; and that gap (p,), m."""
     low, high, centroid = parts.low_world[:, None], parts.high_world[:, None], parts.centroid_world[:, None]
     gaps = np.maximum(np.maximum(low - parts.high_world[chosen], parts.low_world[chosen] - high), 0.0)

@@ -1,8 +1,8 @@
 """One discrete Bayes filter for the pose of the whole body: as tracked, or one alternative.
 
-The body is judged by the share of the contour rays that it explains; another pose of it, turned round, left and right
-exchanged, or found anew in the hull, is followed beside the tracked one as long as it may be right. The log odds forget
-as those of the limbs do (:mod:`.limb_filter`).
+The body is judged by the share of the contour rays that it explains. One alternative pose, turned round, with left and
+right exchanged, or found anew in the hull, is fitted to every set beside the tracked one while it may be right. Log
+odds are forgotten exponentially, as those of the limbs (:mod:`.limb_filter`).
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from .evidence import RAYS_PER_NAT, SAME_M, TRUNK, Evidence, Observation
 from .pose_library import WITH_ARMS, WITH_LEGS, WITH_SIDES, exchanged, moved_to, stances, turned_around
 
 # Thresholds: chosen with python bench/recovery.py.
-TURNED_EVERY = 8  # looks from one at the whole body turned round to the next, while the track is good
-CHECKS = 8  # of them, two more than there are kinds, until a body that was lost is believed
+TURNED_EVERY = 8  # every how many searches one is of the whole body, while the track is good
+CHECKS = 8  # of them, two more than there are kinds, before a body that was lost is good again
 STANCES_A_SET = 6
 BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
 BODY_DOUBTFUL = 0.4  # probability of another pose of the whole body
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
-# of the contour rays, over a pose or two: what a body explains that is not the person's. It is said, nothing else: torn
-# silhouettes leave as much, beside a pose that is right. Of 73 sets of six makers' people, those with less are 0.1 m
-# wrong or more at some point half of the time; any share from 0.66 to 0.70 tells them (python bench/people.py --doubt)
+# share of the contour rays, smoothed over MISFIT_S, below which the body's shape is not the person's. It makes parts
+# doubtful and changes no pose, as torn silhouettes leave as much unexplained beside right poses. Of 73 sets of six
+# makers' people, those below it have a point 0.1 m off half of the time; any share from 0.66 to 0.70 separates them
+# (python bench/people.py --doubt)
 MISFIT_SHARE, MISFIT_S = 0.68, 0.3
 
 
@@ -46,7 +47,7 @@ class Hypothesis:
 
 
 class BodyFilter:
-    """What is believed of the pose of one body. ``other`` : the alternative that is followed, if any."""
+    """Quality of one body's pose. ``other`` : the alternative that is fitted beside it, if any."""
 
     def __init__(self) -> None:
         self.other: Hypothesis | None = None
@@ -55,7 +56,7 @@ class BodyFilter:
         self._kind = self._unchecked = 0
 
     def mark_lost(self) -> None:
-        """Note a set that shows nobody: who is found after it is not believed before other poses have been tried."""
+        """Mark a set that shows nobody: the next pose is doubtful until other poses have been tried."""
         self._unchecked = CHECKS
 
     @staticmethod
@@ -66,7 +67,7 @@ class BodyFilter:
         return TrackQuality(state, reason, (state,) * len(PART_NAMES), share)
 
     def mark_set(self, pose: Pose, quality: TrackQuality, dt_s: float) -> None:
-        """Note how well a set was explained, ``dt_s`` after the one before."""
+        """Update the smoothed share of explained rays with a set, ``dt_s`` after the one before."""
         if quality.state == GOOD:
             self._last_good = pose
         self._recent_share += (quality.explained - self._recent_share) * (1.0 - math.exp(-dt_s / MISFIT_S))
@@ -74,8 +75,8 @@ class BodyFilter:
     def update(
         self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turns: range
     ) -> tuple[Hypothesis, Evidence] | None:
-        """Follow the other pose of the whole body, or look for one in these turns; return one that is more probable,
-        and what speaks for it."""
+        """Fit the alternative to a set, or search for one in these turns; return one that has become more probable,
+        with its evidence."""
         other = self.other
         if other is not None:
             fitted = seen.fitted(other.pose)
@@ -89,13 +90,13 @@ class BodyFilter:
             self.other = other
         if other is None or self._unchecked:
             for turn in turns:
-                self._look_for_another(seen, pose, evidence, quality, turn)
+                self._try_alternative(seen, pose, evidence, quality, turn)
         return None
 
-    def _look_for_another(
+    def _try_alternative(
         self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turn: int
     ) -> None:
-        """Try one other pose of the whole body, if it is its turn; one that explains more is followed."""
+        """Fit one other pose of the whole body if a turn is due; keep it if it explains more."""
         if quality.state == LOST and turn % 2:
             guess = self._stance(seen, turn // 2)
         elif turn % (1 if quality.state == LOST or self._unchecked or quality.parts[TRUNK] != GOOD else TURNED_EVERY):
@@ -109,7 +110,7 @@ class BodyFilter:
             self.other = _updated(replace(guess, pose=fitted), margin, seen.dt_s)
 
     def _other_way_round(self, seen: Observation, pose: Pose) -> Hypothesis:
-        """Return the body turned or exchanged, one way after another."""
+        """Return the body turned round or with sides exchanged, one kind after another."""
         body, kind = seen.body, self._kind % 6
         self._kind += 1
         self._unchecked = max(self._unchecked - 1, 0)
@@ -124,15 +125,15 @@ class BodyFilter:
         return Hypothesis(moved_to(self._last_good, seen.data.hull), "the last good pose")
 
     def _stance(self, seen: Observation, turn: int) -> Hypothesis:
-        """Return the best of a few stances; others at the next set."""
+        """Return the best of a few stances; the next set tries others."""
         every = stances(seen.body, seen.data.hull)
         parts = len(every) // STANCES_A_SET
         best = min(every[turn % parts :: parts], key=lambda pose: seen.evidence_of(pose).cost)
         return Hypothesis(best, "the body found anew")
 
     def with_other(self, quality: TrackQuality) -> TrackQuality:
-        """Return the quality with everything doubtful beside another pose of the body that may be right, or before
-        other poses of a body that was lost have been tried."""
+        """Return the quality with all parts doubtful while the alternative may be right, or while a body that was lost
+        has not been compared with other poses."""
         other, reasons = self.other, [quality.reason] if quality.reason else []
         if other is not None:
             quality = replace(quality, hypothesis_margin=other.margin)
@@ -147,7 +148,7 @@ class BodyFilter:
         return replace(quality, state=DOUBTFUL, parts=(DOUBTFUL,) * len(PART_NAMES), reason="; ".join(reasons))
 
     def with_misfit(self, quality: TrackQuality) -> TrackQuality:
-        """Return the quality with no part better than doubtful if the body has left too much unexplained of late."""
+        """Return the quality with no part better than doubtful if the smoothed share of explained rays is too low."""
         if self._recent_share > MISFIT_SHARE or GOOD not in quality.parts:
             return quality
         reasons = [f"the body explains only {100 * quality.explained:.0f} % of the outlines", quality.reason]
@@ -156,7 +157,7 @@ class BodyFilter:
 
 
 def _updated(other: Hypothesis, margin: float, dt_s: float) -> Hypothesis:
-    """Return the hypothesis after a set in which it explained so many rays (margin) more than the tracked pose."""
+    """Return the hypothesis after a set in which it explained ``margin`` rays more than the tracked pose."""
     gain = 1.0 - math.exp(-dt_s / limb_filter.MEMORY_S)
     most = 2.0 * limb_filter.SET_NATS  # of a whole body: a tear reaches one part of it
     nats = min(max(margin / RAYS_PER_NAT, -most), most)

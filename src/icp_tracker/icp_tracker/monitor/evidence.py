@@ -1,9 +1,9 @@
-"""How well a pose explains what the cameras saw, counted in contour rays.
+"""Evidence for a pose, counted in contour rays.
 
-A contour ray touches the body somewhere. One that passes the surface of a pose at a distance says that something is
-elsewhere; the cost of a pose is how many such rays there are (Geman-McClure: a ray far off counts 1, one on the surface
-0), and joints beyond their ranges. It compares poses with each other far better than the number of explained rays
-alone: a body that faces backward explains most of the outline too. Joints that a detector found count as well.
+A contour ray touches the body somewhere, so a ray that misses the surface of a pose speaks against it. The cost of a
+pose is the number of such rays (Geman-McClure: a ray far off counts 1, one on the surface 0) plus a penalty of joints
+beyond their ranges. It separates poses far better than the number of explained rays: a body that faces backward
+explains most of the outline too. Joints that a detector found count as well.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stick_figure.least_squares.contour_factor import SLACK_M, RayMatch, match_r
 from stick_figure.least_squares.contour_factor import SURFACE_GATE_M as GATE_M
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.keypoint_factor import ALL_STICKS, keypoint_support
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.posed_model import BodyModel, PoseState, place
 from stick_figure.pose import Pose
 
 from ..articulated_fit import GUESS, ArticulatedSettings, minimise
@@ -30,20 +30,19 @@ TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
 
 # Thresholds: measured by python bench/recovery.py.
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained
-LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
-LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
-RAYS_PER_NAT = 2.0  # rays worth a nat: so many show an independent sample, a cell of a limb's surface, for certain
-SAME_M = 0.12  # poses whose points, and places whose joints, are so near to each other are one: the width of a limb
+WORSE_RAY_WEIGHT = 1.5  # of a ray that another pose explains worse, against 1 of a ray that it explains better
+LIMIT_RAD = 0.5  # an angle this far beyond its range costs one ray, twice as far four
+RAYS_PER_NAT = 2.0  # rays worth a nat, and rays that count as one full independent sample (cell of a limb's surface)
+SAME_M = 0.12  # poses or places whose points all lie closer than this are the same: the width of a limb
 GUESS_ITERATIONS = 12  # of a fit that starts from a guess
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What speaks for and against a pose.
+    """Evidence of one set for and against a pose.
 
-    costs (n,) : what each ray costs, 0 to 1; beyond : what joints beyond their ranges cost, in rays, less what detected
-    joints say for the pose. share : of the rays' information, what the pose explains; 1 when there are none. matched :
-    what the rays were matched to.
+    costs (n,) : of each ray, 0 to 1. beyond : cost of joints beyond their ranges less the support of detected joints,
+    in rays. share : of the rays' information that the pose explains; 1 without rays. matched : the rays' match.
     """
 
     costs: np.ndarray
@@ -53,25 +52,25 @@ class Evidence:
 
     @property
     def cost(self) -> float:
-        """Of outlines and what is beyond, in rays; lower is better."""
+        """Total cost, in rays; lower is better."""
         return float(self.costs.sum()) + self.beyond
 
     def margin_of(self, other: Evidence) -> float:
-        """Rays that another pose explains better, less LOSS times those that it explains worse.
+        """Rays that another pose explains better, less WORSE_RAY_WEIGHT times those that it explains worse.
 
-        An arm that leaves its own outline to explain something else (a bent hand, a coat's hem) gains and loses much;
-        one that was lost had little to lose.
+        The weight keeps an arm from leaving its own outline for something else (a bent hand, a coat's hem), which gains
+        and loses much; an arm that was lost has little to lose.
         """
         better, besides = self.costs - other.costs, self.beyond - other.beyond
-        return float(np.where(better > 0.0, better, LOSS * better).sum()) + besides
+        return float(np.where(better > 0.0, better, WORSE_RAY_WEIGHT * better).sum()) + besides
 
 
-def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None = None) -> Evidence:
+def evidence_of(figure: BodyModel, pose: Pose, data: Data, matched: RayMatch | None = None) -> Evidence:
     """Weigh a pose against the contour rays and keypoints of a set, and its angles against their joints' ranges.
 
-    ``matched`` : what the rays are matched to, when that is known.
+    ``matched`` : the rays' match, if known.
     """
-    state = State(*pose.arrays)
+    state = PoseState(*pose.arrays)
     matched = matched or match_to(figure, state, data)
     costs, share, excess = _weigh(state, matched.separation, data.contour_rays.information)
     beyond = float(((excess / LIMIT_RAD) ** 2).sum())
@@ -82,7 +81,7 @@ def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None
 
 @njit(cache=True, nogil=True)
 def match_to(figure, state, data):
-    """Match the rays of a set to a figure in a pose."""
+    """Match the rays of a set to a body in a pose."""
     return match_rays(data.contour_rays, place(state, figure), SLACK_M)
 
 
@@ -97,19 +96,19 @@ class Observation:
     guess_iterations: ClassVar[int] = GUESS_ITERATIONS
 
     def evidence_of(self, pose: Pose, matched: RayMatch | None = None) -> Evidence:
-        """Return the evidence about a pose; ``matched`` : as of `evidence_of`."""
-        return evidence_of(Figure.of(self.body), pose, self.data, matched)
+        """Return the evidence for a pose; ``matched`` : the rays' match, if known."""
+        return evidence_of(BodyModel.of(self.body), pose, self.data, matched)
 
     def fitted(self, pose: Pose, guess: bool = False) -> Pose:
-        """Return the pose that the fit reaches from another one, more freely if that is only a guess."""
+        """Return the pose that the fit reaches from another one; from a ``guess`` with a wider prior."""
         settings = replace(self.settings, prior=GUESS, max_iterations=self.guess_iterations) if guess else self.settings
         return minimise(self.body, pose, self.data, settings)[0]
 
 
 @njit(cache=True, nogil=True)
 def _weigh(state, separation, information):
-    """Return what each ray costs (n,); the share of their information (n,) that is explained; by how much (18,) rad
-    angles are beyond their joints' ranges."""
+    """Return each ray's cost (n,), the explained share of their information (n,), and each angle's excess over its
+    range (18,) rad."""
     excess, explained, every = np.empty(18), 0.0, 0.0
     joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
     for i in range(separation.shape[0]):
@@ -121,6 +120,6 @@ def _weigh(state, separation, information):
 
 @njit(cache=True, error_model="numpy")
 def ray_cost(separation, gate):
-    """Return what a ray, or each of them, costs: 0 on the surface, a half at the gate, 1 far off."""
+    """Return the Geman-McClure cost of rays: 0 on the surface, a half at the gate, 1 far off."""
     g = separation * separation / (gate * gate)
     return g / (1.0 + g)

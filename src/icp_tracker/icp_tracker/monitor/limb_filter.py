@@ -21,10 +21,10 @@ from ..articulated_fit import LONGEST_S
 from .limb_search import LimbPlaces
 
 # Thresholds: chosen with python bench/people.py --doubt on clothed figures before three cameras.
-MEMORY_S = LONGEST_S  # a body moves by a limb's width in it: older evidence is forgotten, newer is the same again
+MEMORY_S = LONGEST_S  # time constant: a body moves by a limb's width in it; newer evidence is correlated
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
-UNFOUND_LOG_PRIOR = 2.5  # of one that it did not find: part of it hides before the body; people.py --doubt
-SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
+UNFOUND_LOG_PRIOR = 2.5  # of a place that it did not find, as part of the limb hides before the body; bench/people.py --doubt
+SET_NATS = 4.0  # one set in 50 is torn, so none counts more than ln 50 for or against a place
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.50  # probability of another place, or of none
 UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
@@ -34,8 +34,8 @@ UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
 
 @dataclass(frozen=True, eq=False)
 class LimbBelief:
-    """What is believed of one limb: log odds against the tracked place, of the other ``places`` (k,), of one that is
-    ``unfound``, of ``unseen``."""
+    """Log odds of one limb against its tracked place: of the other ``places`` (k,), of a place that the search did not
+    find (``unfound``), and of a limb that nothing shows (``unseen``)."""
 
     places: LimbPlaces
     log_odds: np.ndarray
@@ -44,14 +44,14 @@ class LimbBelief:
 
     @staticmethod
     def after(before: LimbBelief | None, places: LimbPlaces, dt_s: float, hidden: bool) -> LimbBelief:
-        """Return the belief one set, ``dt_s`` later. ``hidden`` : the limb reaches beyond what the cameras show, where
-        the absence of its rays is no surprise and is believed at once."""
+        """Return the belief one set, ``dt_s`` later. ``hidden`` : the limb reaches out of the cameras' view, where it
+        counts as unseen without delay."""
         gain = 1.0 - math.exp(-dt_s / MEMORY_S)
         seen = np.clip(places.margins + PLACE_LOG_PRIOR, -SET_NATS, SET_NATS)
         prior = _inherited(before, places.origins)
         prior = np.where(np.isnan(prior), np.minimum(seen, PLACE_LOG_PRIOR), prior)
         log_odds = prior + gain * (seen - prior)
-        unfound = _of_one_set(places.left_over - places.samples + UNFOUND_LOG_PRIOR)
+        unfound = _of_one_set(places.unexplained - places.samples + UNFOUND_LOG_PRIOR)
         unseen = _of_one_set(CHANCE_SAMPLES - places.samples)
         if before is not None:
             unfound = before.unfound + gain * (unfound - before.unfound)
@@ -60,14 +60,14 @@ class LimbBelief:
 
     @cached_property
     def probabilities(self) -> np.ndarray:
-        """(k + 2,) of the tracked place, the other places, unseen, if it is not unfound: what search, covariance and
-        learning go by, for in torn silhouettes much is left over beside a limb that is right."""
+        """(k + 2,) of the tracked place, the other places, unseen, given that the limb is not unfound; search,
+        covariance and learning use these, as torn silhouettes leave much unexplained beside a limb that is right."""
         odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unseen]]))
         return np.asarray(odds / odds.sum())
 
     @cached_property
     def known_elsewhere(self) -> float:
-        """Probability that elbow or hand is ELSEWHERE_M off, or unseen, if it is not unfound."""
+        """Probability that elbow or hand is ELSEWHERE_M off, or unseen, given that the limb is not unfound."""
         p = self.probabilities
         return float(p[1:-1][self.places.apart_m > ELSEWHERE_M].sum() + p[-1])
 
@@ -80,8 +80,8 @@ class LimbBelief:
 
     @property
     def likeliest_place(self) -> int | None:
-        """Number of the place that is more probable than the tracked one, and than "unseen" in the last set: what
-        explains no more than chance belongs to something else. None for no such place."""
+        """Number of the most probable place, if it is more probable than the tracked one and explains more than chance
+        in the last set; else None."""
         explains = self.places.samples + self.places.margins + PLACE_LOG_PRIOR
         odds = np.where(explains > CHANCE_SAMPLES, self.log_odds, -np.inf)
         return int(odds.argmax()) if len(odds) and odds.max() > 0.0 else None
@@ -108,11 +108,11 @@ class LimbBelief:
 
 
 def _of_one_set(nats: float) -> float:
-    """Return what one set says, as far as one is believed."""
+    """Clip one set's evidence to SET_NATS."""
     return min(max(nats, -SET_NATS), SET_NATS)
 
 
 def _inherited(before: LimbBelief | None, origins: np.ndarray) -> np.ndarray:
-    """Return the log odds (k,) before this set of the places that are followed; NaN of new ones."""
+    """Return the log odds (k,) of each place before this set; NaN of new ones."""
     known = np.append(np.empty(0) if before is None else before.log_odds, np.nan)
     return np.asarray(known[np.where(origins < len(known), origins, -1)])

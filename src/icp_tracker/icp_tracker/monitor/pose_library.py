@@ -42,12 +42,13 @@ POSTURES: tuple[tuple[dict[str, float], dict[str, float]], ...] = (
 
 
 def exchanged(body: Body, pose: Pose, points: list[int]) -> Pose:
-    """Points change names, limbs and trunk stay where they are: with both sides' the body faces the other way."""
+    """Return the pose with left and right ``points`` exchanged: limbs stay in place under the other side's name; with
+    all of them the body faces the other way."""
     return inverse(body, forward(body, pose)[points], pose)
 
 
 def turned_around(pose: Pose) -> Pose:
-    """Return every limb where it is on the body, the body facing the other way."""
+    """Return the pose turned by half a turn about the torso's axis, the joints' angles kept."""
     return replace(pose, R_world_torso=rotation_matrix(np.pi * pose.R_world_torso[:, 2]) @ pose.R_world_torso)
 
 
@@ -86,7 +87,7 @@ def angles_of_posture(left: Mapping[str, float], right: Mapping[str, float]) -> 
 
 _POSTURES = tuple(angles_of_posture(left, right) for left, right in POSTURES)
 NATURAL_POSTURES = _POSTURES[:5]
-"""Of those who come in."""
+"""Of people who walk in."""
 
 
 # --- limbs: directions of the upper limb times flexions of the hinge, within the joints' ranges
@@ -118,7 +119,7 @@ class Limb(NamedTuple):
 
     @property
     def parts(self) -> int:
-        """In how many parts its library is searched, each about as long: an arm's has twice the poses."""
+        """Number of parts in which its library is searched; an arm's has twice the poses of a leg's."""
         return 4 if self.is_arm else 2
 
     @property

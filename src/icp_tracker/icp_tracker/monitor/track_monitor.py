@@ -21,7 +21,7 @@ from stick_figure.body import Body
 from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.contour_factor import RayMatch
 from stick_figure.least_squares.gauss_newton import Data
-from stick_figure.least_squares.placed_figure import Figure
+from stick_figure.least_squares.posed_model import BodyModel
 from stick_figure.pose import Pose
 
 from ..articulated_fit import LONGEST_S, ArticulatedSettings
@@ -33,7 +33,7 @@ from .limb_search import NO_POSES, other_places, with_limb
 from .pose_library import LIMB_POINTS, LIMBS, LimbPoses, limb_poses
 
 # Thresholds: chosen with python bench/recovery.py.
-LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
+LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # limb searches per second, and at most per frame set
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS: arms are lost more often than legs
 NOTHING_MOVED, ALL_PARTS = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
 
@@ -70,7 +70,7 @@ class TrackMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what is believed of the body."""
+        """Forget all beliefs about the body."""
         self._beliefs: list[LimbBelief | None] = [None] * len(LIMBS)
         self._hidden = np.zeros(len(LIMBS), bool)  # limbs that reach beyond what the cameras show
         self._body = BodyFilter()
@@ -79,7 +79,7 @@ class TrackMonitor:
         self._looks = [0] * len(LIMBS)
 
     def mark_lost(self) -> None:
-        """Note a set that shows nobody: who is found after it is not believed before other poses have been tried."""
+        """Mark a set that shows nobody: the next pose is doubtful until other poses have been tried."""
         self._body.mark_lost()
 
     def assess(
@@ -91,8 +91,8 @@ class TrackMonitor:
         settings: ArticulatedSettings,
         matched: RayMatch | None = None,
     ) -> TrackAssessment:
-        """Judge a pose that was fitted to a set's data, and look for a better one; ``matched`` : what the data are
-        matched to in the pose, when that is known."""
+        """Judge a pose that was fitted to a set's data, and search for a better one; ``matched`` : the rays' match in
+        that pose, if known."""
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         dt_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
         if len(data.contour_rays.information) == 0 or len(data.hull) == 0:
@@ -120,7 +120,7 @@ class TrackMonitor:
     ) -> TrackAssessment | None:
         """Return the change-over to another pose of the whole body that is more probable."""
         if self._hidden.sum() > 1:
-            self._body.other = None  # what is left of the body does not tell which way it faces
+            self._body.other = None  # the visible rest of the body does not show which way it faces
             return None
         changed = self._body.update(seen, pose, evidence, quality, turns)
         if changed is None:
@@ -129,10 +129,10 @@ class TrackMonitor:
         other, found = changed
         return TrackAssessment(self._body.judge(found.share), other.pose, other.why, ALL_PARTS)
 
-    # --- what is believed of each limb --------------------------------------------------------------------------------
+    # --- beliefs about each limb --------------------------------------------------------------------------------------
 
     def _update_limbs(self, seen: Observation, pose: Pose, evidence: Evidence, turns: range) -> None:
-        """Rate other places of the limbs: those that are followed, and a part of the library of one limb a turn."""
+        """Rate other places of the limbs: those known from the last set, and a part of one limb's library a turn."""
         self._hidden = seen.data.unseen.at(forward(seen.body, pose))[LIMB_POINTS].any(axis=1)
         searched = {self._limb_of(turn) for turn in turns}
         for number, limb in enumerate(LIMBS):
@@ -141,16 +141,16 @@ class TrackMonitor:
                 self._looks[number] += 1
                 library = limb_poses(limb).part(self._looks[number], limb.parts)
             known = NO_POSES if before is None else before.places.poses
-            places = other_places(Figure.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
+            places = other_places(BodyModel.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
             self._beliefs[number] = LimbBelief.after(before, places, seen.dt_s, bool(self._hidden[number]))
 
     def _limb_of(self, turn: int) -> int:
-        """Return which limb is searched for: one after another, and every second time the least certain one."""
+        """Return the limb to search for: each in turn, and every second time the least certain one."""
         certain = [1.0 if belief is None else float(belief.probabilities[0]) for belief in self._beliefs]
         return int(np.argmin(certain)) if turn % 2 else LIMB_TURNS[turn // 2 % len(LIMB_TURNS)]
 
     def _with_limbs(self, quality: TrackQuality) -> TrackQuality:
-        """Return the quality with the limbs doubtful that may be elsewhere, or unseen."""
+        """Return the quality with those limbs doubtful that may be elsewhere or unseen."""
         parts, log_odds = list(quality.parts), [-math.inf] * len(PART_NAMES)
         reasons = [quality.reason] if quality.reason else []
         for limb, belief in zip(LIMBS, self._beliefs, strict=True):
@@ -167,8 +167,8 @@ class TrackMonitor:
         return replace(quality, state=state, parts=tuple(parts), reason="; ".join(reasons), log_odds=tuple(log_odds))
 
     def _changed_limb(self, seen: Observation, pose: Pose, evidence: Evidence) -> TrackAssessment | None:
-        """Return the change-over of the limb that is most probably elsewhere, the whole figure fitted from there; None
-        for no such limb, or if the whole set does not agree."""
+        """Return the change-over of the limb that is most probably elsewhere, with the whole body fitted from there;
+        None without such a limb, or if the body's cost does not fall."""
         rivals = [
             (float(belief.log_odds[place]), number, place, belief)
             for number, belief in enumerate(self._beliefs)
@@ -191,14 +191,14 @@ class TrackMonitor:
     def _belief_after_move(
         self, seen: Observation, better: Pose, number: int, left: Pose, log_odds: float
     ) -> LimbBelief:
-        """Return what is believed of a limb after it moved: the place that it left is another one now."""
+        """Return the belief about a limb after a change-over: the place it left is now one of the others."""
         limb = LIMBS[number]
-        places = other_places(Figure.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
+        places = other_places(BodyModel.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
         before = self._beliefs[number]
         unfound, unseen = (0.0, 0.0) if before is None else (before.unfound - log_odds, before.unseen - log_odds)
         return LimbBelief(places, np.full(len(places.margins), -log_odds), unfound, unseen)
 
-    # --- what doubt means for the points ------------------------------------------------------------------------------
+    # --- covariance of doubtful points --------------------------------------------------------------------------------
 
     def _unseen_points(self) -> np.ndarray:
         """Return the points (15,) that nothing in the last sets shows: hands and feet of unseen limbs."""
@@ -208,7 +208,7 @@ class TrackMonitor:
         return unseen
 
     def _spread(self, seen: Observation, pose: Pose, quality: TrackQuality) -> np.ndarray | None:
-        """Return the second moment (15, 3, 3) m^2 of where doubtful points may be: that of the mixture."""
+        """Return the mixture's second moment (15, 3, 3) m^2 of doubtful points about where they are fitted."""
         if quality.state == GOOD:
             return None
         spread = np.zeros((15, 3, 3))
@@ -231,6 +231,6 @@ def _in_words(belief: LimbBelief) -> str:
     if belief.unseen >= max(belief.unfound, of_places):
         return f"{places.samples:.0f} independent samples show it"
     if belief.unfound >= of_places:
-        return f"{places.left_over:.0f} independent samples near it are left over, {places.samples:.0f} show it"
+        return f"{places.unexplained:.0f} independent samples near it are left over, {places.samples:.0f} show it"
     k = int(belief.log_odds.argmax())
     return f"a place {100 * places.apart_m[k]:.0f} cm away explains {places.margins[k]:+.0f} independent samples"

@@ -1,10 +1,10 @@
 """Data association: which parts of the hull, and which rows of parts that persons share, belong to whom.
 
-A person's figure, placed where it is expected, explains the points inside it and near its surface, and the contour rays
-that graze it. A part of the hull belongs to everybody of whom it holds a good deal. Persons who touch share a part:
-each row of it (centerline point, surface voxel, contour ray) goes to those who explain it, to both where neither
-explains it clearly better, and so does what nobody explains: it may be the limb that somebody has lost. Of the
-skeletons that a detector found in an image each person has the nearest one, if any is near.
+A person's body in its expected pose explains the points inside it and near its surface, and the contour rays that graze
+it. A part of the hull belongs to everybody of whom it holds a good share. Persons who touch share a part: each row of
+it (centerline point, surface voxel, contour ray) goes to the person who explains it clearly better, else to both. So do
+rows that nobody explains, which may be a lost limb. Of the skeletons that a detector found in an image each person gets
+the nearest one, if any is near.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import SLACK_M, match_rays
 from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
-from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
+from stick_figure.least_squares.posed_model import BodyModel, PosedModel, PoseState, place, surface_distances
 from stick_figure.pose import Pose
 
 from ..articulated_fit import POINT_GATE_M, ray_arrays
 
 REACH_M = 0.35  # body surface and half a limb: a skeleton that is farther from a person is another's
-NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
-OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
+NEAR_M = 0.05  # a point this near to a body is explained: predictions err, and hulls of few cameras are wide
+OWN_SHARE = 0.2  # of the points that a person explains: a part of the hull that holds more is the person's
 PART_SHARE = 0.08  # of a part's points: fewer are a neighbour's hand (four persons in one wide hull explain 0.15 each)
-SAMPLES = 600  # of the hull's voxels that tell whose its parts are
-CLEARLY_M = 0.03  # so much nearer to one surface than to the other is clear: twice the error of a good prediction
-ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb either: the length of a hand
-# a ray that is not clear is uncertain by so much, the error of a prediction: it tells where one of the two is, not
-# which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people.py together_ and the meeting as
-# footage; from 0.015 to 0.03 fewest hands stay on the other's outline)
+SAMPLES = 600  # voxels of the hull by which its parts are assigned
+CLEARLY_M = 0.03  # margin that assigns a row to the nearer body: twice the error of a good prediction
+ELSEWHERE_M = 0.15  # margin beyond which it cannot be the other person's lost limb: the length of a hand
+# standard deviation added to a ray within CLEARLY_M of both bodies, the error of a prediction, so that it does not hold
+# a hand on the other's outline (0.01 to 0.1 tried with bench/people.py together_ and the meeting as footage; from 0.015
+# to 0.03 fewest hands stay there)
 UNCLEAR_SD_M = 0.02
 
 
 class Expected(NamedTuple):
-    """A person where a frame set should find them."""
+    """A person's body in the pose that is expected in a frame set."""
 
     person: int
     body: Body
     pose: Pose
 
     @property
-    def placed(self) -> PlacedFigure:
-        """The figure in the world."""
-        return place(State(*self.pose.arrays), Figure.of(self.body))
+    def posed(self) -> PosedModel:
+        """The body's model in this pose."""
+        return place(PoseState(*self.pose.arrays), BodyModel.of(self.body))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def associate_parts(seen: HullProducts, bodies: Sequence[int], expected: Sequenc
     totals = np.array([np.count_nonzero(body == part) for part in bodies])
     parts: dict[int, tuple[int, ...]] = {}
     for one in expected:
-        near = surface_distances(points, one.placed)[2] < NEAR_M
+        near = surface_distances(points, one.posed)[2] < NEAR_M
         counts = np.array([np.count_nonzero(near & (body == part)) for part in bodies])
         own = (counts >= OWN_SHARE * counts.sum()) & (counts >= PART_SHARE * totals) & (counts > 0)
         if own.any():
@@ -93,11 +93,11 @@ def associate_rows(
 ) -> dict[int, HullProducts]:
     """Return every person's rows, numbered as one body's.
 
-    All voxels of a shared part stay samples of the hull, in which sticks have to lie; those that another person
-    explains are no surface of this one.
+    All voxels of a shared part stay samples of each person's hull; voxels that another person explains are not surface
+    samples of this one.
     """
     together = [one for one in expected if association.sharers(one.person)]
-    distances = {one.person: _Distances.of(seen, one.placed) for one in together}
+    distances = {one.person: _Distances.of(seen, one.posed) for one in together}
     rows = {}
     for person, parts in association.parts.items():
         own = _rows_of(seen, parts)
@@ -109,14 +109,14 @@ def associate_rows(
 
 
 def associate_skeletons(keypoints: Keypoints, expected: Sequence[Expected]) -> dict[int, Keypoints]:
-    """Return the detections of each person who has any: of each image at most one skeleton, which nobody else has.
+    """Return the detections of each person who has any: of each image at most one skeleton, each given to one person.
 
-    A skeleton is as far from a person as the median of its joints is off: left and right may be exchanged, and some of
-    them wrong. One that is farther than REACH_M from everybody is nobody's.
+    The distance of a skeleton is the median offset of its joints, as left and right may be exchanged and some joints
+    wrong. A skeleton farther than REACH_M from everybody is dropped.
     """
     near = list[tuple[float, int, int, int]]()
     for one in expected:
-        offsets = offsets_m(keypoints, one.placed)
+        offsets = offsets_m(keypoints, one.posed)
         for skeleton in np.unique(keypoints.skeleton).tolist():
             own = keypoints.skeleton == skeleton
             apart = float(np.linalg.norm(np.median(offsets[own], axis=0)))
@@ -147,12 +147,12 @@ class _Distances(NamedTuple):
     rays: np.ndarray
 
     @classmethod
-    def of(cls, seen: HullProducts, placed: PlacedFigure) -> _Distances:
+    def of(cls, seen: HullProducts, posed: PosedModel) -> _Distances:
         rays = seen.contour_rays
-        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, SLACK_M).separation
+        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), posed, SLACK_M).separation
         points = np.ascontiguousarray(seen.voxels.points_world)
         line = np.ascontiguousarray(seen.centerline.points_world)
-        return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], separation)
+        return cls(surface_distances(line, posed)[2], surface_distances(points, posed)[2], separation)
 
     def of_rows(self, rows: _Rows) -> _Distances:
         return _Distances(self.line[rows.line], self.voxels[rows.voxels], self.rays[rows.rays])
@@ -166,7 +166,7 @@ def _rows_of(seen: HullProducts, parts: tuple[int, ...]) -> _Rows:
 
 
 def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _Rows:
-    """Return the rows without those that are clearly another's; rays that may be either's are less certain."""
+    """Return the rows without those that are clearly another's; ambiguous rays get a larger sigma."""
     nearest = _Distances(*(np.min(kind, axis=0) for kind in zip(*others, strict=True)))
     line, on_surface, rays = (~_is_others(mine, theirs) for mine, theirs in zip(own, nearest, strict=True))
     either = np.abs(own.rays - nearest.rays)[rays] <= CLEARLY_M
@@ -181,6 +181,6 @@ def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _R
 
 
 def _is_others(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows another person explains clearly better, or is much nearer to."""
+    """Return which rows another person explains clearly better, or is much nearer to."""
     explained = (others < POINT_GATE_M) & (others + CLEARLY_M < own)
     return np.asarray(explained | (others + ELSEWHERE_M < own))

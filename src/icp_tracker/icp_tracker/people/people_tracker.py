@@ -2,8 +2,8 @@
 
 Every person has an :class:`~icp_tracker.tracker.IcpTracker`, which fits the rows of the hull that data association
 gives it (``association.py``). A part that nobody explains belongs to somebody who comes back, or to a newcomer, whose
-acquisition sees this part alone; one who has the sizes of a person who is away is that person. One person alone is
-followed as the tracker of one body follows it, to the last bit.
+first pose is sought in this part alone; a newcomer with the sizes of a person who is away is that person. With one
+person alone the result equals that of the tracker of one body, to the last bit.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from mocap_packets.state import Prediction
 from stick_figure.body import Body
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
-from ..acquisition.body_sizes import BodyEstimate
-from ..acquisition.pose_source import HULL_SOURCES
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
+from ..initialization.body_sizes import BodyEstimate
+from ..initialization.pose_source import HULL_SOURCES
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons
 
-AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
-BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a phantom's does not
-LOOK_PERIOD_S = 0.045  # from one look at a newcomer to the next while somebody is followed: fits do not wait for it
-SIZES_ERR_M = 0.01  # of two measurements of one person beyond what their covariances say: clothes, posture
-ALIKE = 25.0  # squared Mahalanobis distance of ten sizes that one person's stay below in 99.5 % of the cases
-NO_PART = -2  # is the number of no part of a hull
+AWAY_AFTER_S = 0.3  # after which a person is no longer expected where they were seen last
+BACK_S = 0.2  # of good fits before somebody is taken for a person who was away: fits of phantoms do not last
+LOOK_PERIOD_S = 0.045  # between newcomers' fits while somebody is tracked, so that their work is spread
+SIZES_ERR_M = 0.01  # between two measurements of one person, beside their covariances: clothes, posture
+ALIKE = 25.0  # 99.5 % quantile of the squared Mahalanobis distance of ten sizes of one person
+NO_PART = -2  # the number of no part of a hull
 
 
 @dataclass
 class _Person:
-    """Somebody who is known: until when seen; away: not expected anywhere; good_ns: since when, while away, a part of
-    the hull is fitted well."""
+    """A known person. seen_ns : seen last. away : not expected anywhere. good_ns : since when, while away, a part is
+    fitted well."""
 
     tracker: IcpTracker
     seen_ns: int
@@ -47,13 +47,13 @@ class _Person:
     good_ns: int | None = None
 
     def is_back(self, stamp_ns: int, state: str) -> bool:
-        """Whether a fit of this state, while away, follows good ones for long enough."""
+        """Whether fits while away, this one included, have been good for BACK_S."""
         self.good_ns = (stamp_ns if self.good_ns is None else self.good_ns) if state == TRACKING else None
         return self.good_ns is not None and stamp_ns - self.good_ns >= BACK_S * NS_PER_S
 
 
 class PeopleTracker:
-    """Follows every person in the volume. Deterministic, as the tracker of one body is.
+    """Tracks every person in the volume. Deterministic, as the tracker of one body is.
 
     Persons are numbered 1, 2, ... in the order in which they are found; a number belongs to its person for good, also
     while the person is away.
@@ -62,13 +62,13 @@ class PeopleTracker:
     def __init__(
         self, make: Callable[[], IcpTracker], most: int = MOST_PERSONS, extrinsics: ExtrinsicMonitor | None = None
     ) -> None:
-        """``make`` : returns a tracker that looks for a first pose. ``most`` : persons that are known at most.
-        ``extrinsics`` : of the rig, if that is known."""
+        """``make`` : returns a tracker without a body. ``most`` : largest number of persons. ``extrinsics`` : the rig's
+        monitor, if the rig is known."""
         self._make, self._most, self._extrinsics = make, most, extrinsics
         self.reset()
 
     def reset(self) -> None:
-        """Forget everybody and look for first poses again."""
+        """Forget everybody and start again with first poses."""
         if self._extrinsics is not None:
             self._extrinsics.reset()
         self._persons: dict[int, _Person] = {}
@@ -85,23 +85,23 @@ class PeopleTracker:
 
     @property
     def acquiring(self) -> tuple[str, ...]:
-        """Why each part of the last hull that is nobody's has no first pose yet, while somebody is followed."""
+        """Why each unassigned part of the last hull has no first pose yet, while somebody is tracked."""
         return tuple(self._reasons.values()) if self._persons else ()
 
     @property
     def extrinsic_errors(self) -> ExtrinsicErrors:
-        """How far the cameras are from their calibration, as far as the tracked bodies tell."""
+        """Errors of the cameras' calibration, as measured on the tracked bodies."""
         return ExtrinsicErrors() if self._extrinsics is None else self._extrinsics.errors
 
     def body_of(self, person: int, bent: bool = False) -> Body | None:
-        """Return a person's body, at rest or as its trunk is ``bent`` now; None for one who is not known."""
+        """Return a person's body at rest, or with its present bend (``bent``); None for an unknown person."""
         if person not in self._persons:
             return None
         tracker = self._persons[person].tracker
         return tracker.bent_body if bent else tracker.body
 
     def step(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
-        """Fit one frame set: one answer for each person that is there, in order, and always one for the first."""
+        """Fit one frame set: a fit of each person that is there, in order, and always one of the first."""
         fits = self._fits(seen, predictions)
         if self._extrinsics is not None and self._extrinsics.is_due(seen.stamp_ns):
             trackers = {fit.person: self._persons[fit.person].tracker for fit in fits if fit.person in self._persons}
@@ -110,7 +110,7 @@ class PeopleTracker:
         return fits
 
     def _fits(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
-        """Associate the set's rows with persons, fit those who are known, and look for newcomers."""
+        """Associate the set's rows with persons, fit the known ones, and find newcomers."""
         parts = seen.numbers()
         keypoints, seen = seen.keypoints, replace(seen, keypoints=NO_KEYPOINTS)
         is_alone = len(parts) <= 1 and len(self._persons) + len(self._newcomers) <= 1
@@ -124,12 +124,12 @@ class PeopleTracker:
         there = [one for one in expected if one.person in association.parts]
         free = [part for part in parts if part not in association.claimed]
         back = self._reassign_lost_tracks(seen, association, free)
-        fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
+        fits = self._track(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
     def _step_alone(self, seen: HullProducts, prediction: Prediction | None) -> Fit:
-        """Fit the only person there is, or look for the first one."""
+        """Fit the only person, or find the first one."""
         if self._persons:
             person = self._persons[FIRST_PERSON]
             fit = person.tracker.step(self._with_keypoints(FIRST_PERSON, seen), prediction)
@@ -140,10 +140,10 @@ class PeopleTracker:
         self._reasons = {part: fit.reason}
         return fit if fit.state == ACQUIRING else self._admit(part, fit)
 
-    # --- those who are known -----------------------------------------------------------------------------------------
+    # --- known persons -----------------------------------------------------------------------------------------------
 
     def _expected(self, stamp_ns: int, predictions: Mapping[int, Prediction]) -> list[Expected]:
-        """Return everybody who is not away, where they should be now."""
+        """Return the expected pose of everybody who is not away."""
         expected = []
         for number, person in sorted(self._persons.items()):
             pose, body = person.tracker.expected(stamp_ns, predictions.get(number)), person.tracker.body
@@ -152,13 +152,13 @@ class PeopleTracker:
         return expected
 
     def _with_keypoints(self, person: int, seen: HullProducts) -> HullProducts:
-        """Return what is seen of a person with what detectors found of them."""
+        """Return a person's rows with the person's keypoints."""
         return replace(seen, keypoints=self._keypoints.get(person, NO_KEYPOINTS))
 
     def _reassign_lost_tracks(
         self, seen: HullProducts, association: Association, free: Sequence[int]
     ) -> dict[int, int]:
-        """Return for each person whom the hull does not show where they were expected the part to be looked for in."""
+        """Return, for each person who is not where expected, the unassigned part of the hull to fit."""
         missed = {number: p for number, p in sorted(self._persons.items()) if number not in association.parts}
         back: dict[int, int] = {}
         for part in sorted(free, key=lambda part: (-_size_of(seen, part), part)):  # phantoms are small
@@ -173,7 +173,7 @@ class PeopleTracker:
             person.away |= number in back or seen.stamp_ns - person.seen_ns >= AWAY_AFTER_S * NS_PER_S
         return back
 
-    def _follow(
+    def _track(
         self,
         seen: HullProducts,
         rows: Mapping[int, HullProducts],
@@ -181,7 +181,7 @@ class PeopleTracker:
         association: Association,
         predictions: Mapping[int, Prediction],
     ) -> dict[int, Fit]:
-        """Fit everybody to their rows, and those who are away to what may be theirs."""
+        """Fit everybody to their rows, and those who are away to the part that may be theirs."""
         fits = dict[int, Fit]()
         for number, person in sorted(self._persons.items()):
             if number in rows:
@@ -199,7 +199,7 @@ class PeopleTracker:
                 person.away, person.seen_ns, person.good_ns = False, seen.stamp_ns, None
             elif gone:
                 continue
-            elif number in back and fit.state != LOST:  # perhaps a phantom: not believed yet
+            elif number in back and fit.state != LOST:  # perhaps a phantom
                 reason = fit.reason or "perhaps back: it has to fit a little longer"
                 fit = replace(fit, state=LOST, reason=reason, visible=np.zeros(15, dtype=bool))
             fits[number] = replace(fit, person=number)
@@ -208,17 +208,17 @@ class PeopleTracker:
     # --- newcomers ---------------------------------------------------------------------------------------------------
 
     def _is_just_away(self, back: Mapping[int, int], part: int, seen: HullProducts) -> bool:
-        """Whether a part of the hull is looked through for somebody who was here a moment ago."""
+        """Whether a part of the hull is fitted for somebody who was here a moment ago."""
         numbers = [number for number, given in back.items() if given == part]
         gone_ns = GONE_AFTER_S * NS_PER_S
         return any(not self._persons[n].away or seen.stamp_ns - self._persons[n].seen_ns < gone_ns for n in numbers)
 
     def _acquire(self, seen: HullProducts, free: Sequence[int], fits: Mapping[int, Fit]) -> dict[int, Fit]:
-        """Look for a first pose in every part of the hull that is nobody's."""
+        """Find first poses in the unassigned parts of the hull."""
         found = dict[int, Fit]()
         self._newcomers = self._newcomers_of(free, seen.stamp_ns)
         self._reasons = {part: reason for part, reason in self._reasons.items() if part in free}
-        for part, tracker in self._looked_at(free, seen.stamp_ns):
+        for part, tracker in self._newcomers_due(free, seen.stamp_ns):
             fit = tracker.step(seen.of_body(part).as_one_body())
             self._reasons[part] = fit.reason
             present = sum(not person.away for person in self._persons.values())
@@ -231,9 +231,9 @@ class PeopleTracker:
             self._newcomers = {NO_PART: self._make()}
         return found
 
-    def _looked_at(self, free: Sequence[int], stamp_ns: int) -> list[tuple[int, IcpTracker]]:
-        """Return whom to look at in this set: two newcomers, the next two in the next set; while somebody is followed
-        one now and then: an acquisition takes as long as several fits."""
+    def _newcomers_due(self, free: Sequence[int], stamp_ns: int) -> list[tuple[int, IcpTracker]]:
+        """Return the newcomers to fit in this set, in turn: two; while somebody is tracked one every LOOK_PERIOD_S, as
+        a first pose takes as long as several fits."""
         if not free or (self._persons and 0 <= stamp_ns - self._looked_ns < LOOK_PERIOD_S * NS_PER_S):
             return []
         self._looked_ns, here = stamp_ns, sorted(free)
@@ -242,8 +242,8 @@ class PeopleTracker:
         return [(part, self._newcomers[part]) for part in chosen]
 
     def _newcomers_of(self, free: Sequence[int], stamp_ns: int) -> dict[int, IcpTracker]:
-        """Return who is looked at in each free part: the same one as before, also where its number is a new one; and
-        those whose part is missing for a moment."""
+        """Return the newcomer of each free part, the same as before even where the part's number has changed, and those
+        whose part is missing for a moment."""
         self._newcomer_ns |= dict.fromkeys(free, stamp_ns)
         newcomers = {
             part: tracker
@@ -257,7 +257,7 @@ class PeopleTracker:
         return newcomers
 
     def _admit(self, part: int, fit: Fit) -> Fit:
-        """Let the newcomer of a part be somebody: a person who was away and has these sizes, or a new one."""
+        """Make the newcomer of a part a person: one who was away and has these sizes, or a new one."""
         tracker = self._newcomers.pop(part)
         self._reasons.pop(part, None)
         for number in self._away_like(tracker):
@@ -271,7 +271,7 @@ class PeopleTracker:
         return replace(fit, person=number)
 
     def _away_like(self, newcomer: IcpTracker) -> list[int]:
-        """Return the persons who are away and of the newcomer's sizes, the likest first."""
+        """Return the persons who are away and have the newcomer's sizes, the most similar first."""
         measured, likeness = newcomer.refined_sizes, list[tuple[float, int]]()
         for number, person in sorted(self._persons.items()):
             known = person.tracker.refined_sizes
@@ -288,14 +288,14 @@ def sizes_apart(first: BodyEstimate, second: BodyEstimate) -> float:
 
 
 def _reason_of_all(reasons: Mapping[int, str]) -> str:
-    """Return one sentence for the reasons by which each body, by its number, is nobody yet."""
+    """Return one sentence of the reasons why bodies, by number, have no first pose yet."""
     if len(reasons) == 1:
         return next(iter(reasons.values()))
     return "; ".join(f"body {number}: {reason}" for number, reason in sorted(reasons.items())) or "no hull"
 
 
 def _size_of(seen: HullProducts, part: int) -> int:
-    """Return how many samples a part of the hull has."""
+    """Return the number of samples of a part of the hull."""
     return int(np.count_nonzero(seen.voxels.body == part)) or int(np.count_nonzero(seen.centerline.body == part))
 
 
@@ -307,11 +307,11 @@ def _place_of(seen: HullProducts, part: int) -> np.ndarray:
 
 
 def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> PeopleTracker:
-    """Make a tracker of everybody; first poses come from where the settings say.
+    """Make a tracker of everybody by the settings.
 
-    ``rig``, ``min_seeing`` : of the cameras, and how many of them a hull needs, where the settings name no rig file.
-    Without either, hulls are taken to show all, and no camera is watched. A pose from a file or a session is that of
-    one person: then nobody else is followed. Raises InputError for files that cannot be used.
+    ``rig``, ``min_seeing`` : the cameras, and how many of them a hull needs, where the settings name no rig file.
+    Without either, hulls are taken to show all, and no camera is monitored. A pose from a file or a session is that of
+    one person: then nobody else is tracked. Raises InputError for files that cannot be used.
     """
     start = settings.initial_pose
     if start.rig_file:

@@ -1,9 +1,9 @@
 """Refines a body's sizes and build while it is tracked, from contour rays in many different poses.
 
-A T-pose shows sums of lengths; where an elbow, a hip or a shoulder divides them only movement tells: the surfaces of
+A T-pose shows sums of lengths; only movement shows where an elbow, a hip or a shoulder divides them: the surfaces of
 two limbs turn about the joint between them. The unknown sizes and the build are solved for together with the poses,
 as in the kinematic fits of Cheung, Baker & Kanade (CVPR 2003) and Mikic et al. (IJCV 2003), from rays that touch the
-body. A few different poses are kept; with every set one of them is looked at anew, so the work a set is bounded.
+body. A few different poses are kept; every set linearises one of them again, so the work a set is bounded.
 """
 
 from __future__ import annotations
@@ -16,28 +16,27 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, TURN_SD
-from stick_figure.least_squares.independent_rows import SURFACE_SD_M
+from stick_figure.least_squares.effective_information import SURFACE_SD_M
+from stick_figure.least_squares.extremities import ANGLES, COUNT, TURN_SD
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
-from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import PRIOR
-from .keyframes import Keyframes, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
+from ..initialization.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
+from .keyframes import Keyframes, differs_from_all, linearise_keyframe, solve_shape, write_keyframe
 from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
-# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation; PATIENT_S,
-# LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/people.py --first-pose).
-# checked by the studio's bodies and rendered sessions of the package's README
+# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py; PATIENT_S, LEAST_SHARE,
+# BELOW_BEST with stout people who walk in (python bench/people.py --first-pose).
 TURN = 0.2  # rad, by which some joint of a different pose has turned
 EXPLAINED = 0.93  # share of the rays, in a pose that counts
 INDEPENDENT_RAYS = 18.0  # one for each capsule: the model's error is common to a capsule's
 RAYS = 400  # of a kept pose that are used
-# when no pose has reached the share that counts for so long, those count that explain about as much as the best so far:
-# of an average person's surface a stout one of 1.88 m explains 0.84 to 0.92 of the rays while walking
+# after PATIENT_S without a pose that reaches EXPLAINED, poses count that explain about as much as the best so far: the
+# average surface explains 0.84 to 0.92 of the rays of a stout walker of 1.88 m
 PATIENT_S, LEAST_SHARE, BELOW_BEST = 0.2, 0.6, 0.02
 LEAST_CHANGE_M, PAUSE_S = 0.004, 0.2
-LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
+LOOKS_TO_SETTLE = 4  # linearisations of every kept pose after which the sizes have converged
 AT_REST = np.zeros(BEND_NUMBERS)
 GIVEN_SD_M = 0.001  # sizes that were given are kept
 
@@ -48,9 +47,8 @@ class RefinementSettings:
 
     turn : rad, a pose is different when some joint turned by this much against every kept one. explained : share of the
     rays that the surface must explain for a pose to count; less while no pose reaches it. surface_sd_m : distance of a
-    body's surface from the capsules, where they fit well; independent_rays : what all rays of a pose count as.
-    least_change_m : of a size or a part of the surface, for the tracker to take a body over; not more often than every
-    pause_s.
+    body's surface from the capsules, where they fit well; independent_rays : effective number of a pose's rays.
+    least_change_m : of a size or a part of the surface, for a new body to be returned; at most one every pause_s.
     """
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
@@ -63,7 +61,7 @@ class RefinementSettings:
 
 
 def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> RayArrays:
-    """Return at most RAYS rays, evenly spread, together of the information of the independent ones."""
+    """Return at most RAYS rays, evenly spread, with the information of ``independent_rays`` in total."""
     count = len(contour_rays.information)
     rows = np.arange(count) if count <= RAYS else np.arange(RAYS) * count // RAYS
     information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
@@ -80,8 +78,8 @@ class BodyRefiner:
         given: Body | None = None,
         build: np.ndarray | None = None,
     ) -> None:
-        """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt.
-        ``build`` (BUILD_NUMBERS,) : to begin with, of a body that is not near the average."""
+        """``given`` : a body whose sizes are known, so that its build alone is learnt. ``build`` (BUILD_NUMBERS,) : the
+        first guess for a body that is not near the average."""
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate), settings
         self._pose_prior = np.concatenate([PRIOR, REST_SD**-2, np.full(COUNT * ANGLES, TURN_SD**-2)])
@@ -97,7 +95,7 @@ class BodyRefiner:
 
     @property
     def settled(self) -> bool:
-        """Whether all poses that are kept have been looked at so often that the sizes no longer change."""
+        """Whether all kept poses have been linearised so often that the sizes no longer change."""
         return self._looks >= LOOKS_TO_SETTLE * max(len(self._rays), 1)
 
     @property
@@ -106,10 +104,10 @@ class BodyRefiner:
         return len(self._rays) >= self._settings.keyframes and self.settled
 
     def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays, bend: np.ndarray = AT_REST) -> Body | None:
-        """Take a well fitted pose, its rays and the trunk's bend (7,) in it; return a body to go on with when its sizes
-        have changed enough.
+        """Add a well fitted pose, its rays and the trunk's bend (7,); return the refined body when it has changed
+        enough, else None.
 
-        Once the sizes have settled, the work of a set is to see that its pose is not a new one.
+        Once the sizes have settled, a set costs the comparison of its pose with the kept ones.
         """
         if self.done or len(contour_rays.information) == 0:
             return None
@@ -149,7 +147,7 @@ class BodyRefiner:
             self._kept, count, pose.arrays, self._settings.turn
         ):
             return False
-        put_keyframe(self._kept, count, pose.arrays, bend, self._values)
+        write_keyframe(self._kept, count, pose.arrays, bend, self._values)
         self._rays.append(_evenly_spread(contour_rays, self._settings))
         if self._linearise(count) < self._least_share:
             self._rays.pop()
@@ -171,7 +169,7 @@ class BodyRefiner:
         return most if self._patient else min(most, max(self._best_share - BELOW_BEST, LEAST_SHARE))
 
     def _solve(self) -> None:
-        """Solve for the shape that prior and kept poses speak for."""
+        """Solve for the shape from the prior and the kept poses."""
         self._known = None
         values = solve_shape(self._kept, len(self._rays), self._information, self._target)
         self._values = self._prior.clipped(values)
@@ -188,7 +186,7 @@ class BodyRefiner:
 
 
 def known_sizes(body: Body) -> BodyEstimate:
-    """Return the sizes of a body that was given, as sure as a file's are."""
+    """Return the sizes of a given body, with the standard deviation of a body file's."""
     return BodyEstimate(sizes_of_body(body), np.diag(np.full(len(SIZES), GIVEN_SD_M**2)))
 
 

@@ -11,7 +11,7 @@ from capture_rig.kernel import njit
 from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import bend_columns, match_rays, sum_rays
-from stick_figure.least_squares.free_ends import ANGLES, COUNT, end_of_capsule, turn_columns, turned_frame
+from stick_figure.least_squares.extremities import ANGLES, COUNT, extremity_of_capsule, turn_columns, turned_frame
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     TANGENT,
@@ -21,23 +21,23 @@ from stick_figure.least_squares.normal_equations import (
     no_sums,
     pose_columns,
 )
-from stick_figure.least_squares.placed_figure import STICKS, Figure
+from stick_figure.least_squares.posed_model import STICKS, BodyModel
 from stick_figure.skeleton import STICK_AXIS, STICK_SIGN
 from stick_figure.trunk_bend import BendDerivatives, bend_derivatives
 
-from ..acquisition.body_sizes import SIZES, BodyEstimate, body_of_sizes
+from ..initialization.body_sizes import SIZES, BodyEstimate, body_of_sizes
 
 UNKNOWNS = len(SIZES) + BUILD_NUMBERS
 SIZE = slice(0, len(SIZES))
 BUILD = slice(len(SIZES), UNKNOWNS)
 BENT = TANGENT + BEND_NUMBERS
-POSE = BENT + COUNT * ANGLES  # a keyframe's own: its pose, how its trunk is bent, its hands and feet are turned
-FARTHEST_SD = 3.0  # of what was known before: no size, and no bend, leaves it by more
-STEP = 1e-4  # of the differences that stand for derivatives, m and per unit
+POSE = BENT + COUNT * ANGLES  # a keyframe's own unknowns: pose, the trunk's bend, turns of hands and feet
+FARTHEST_SD = 3.0  # standard deviations of the prior to which sizes and bend are clipped
+STEP = 1e-4  # of the finite differences, m and per unit
 
 
 class ShapeDerivatives(NamedTuple):
-    """How the figure changes with the unknowns.
+    """Derivatives of the body's model with respect to the unknowns.
 
     capsules (k, 8, UNKNOWNS) : start (3), end (3) in the stick's frame and both radii. origins (10, 3, UNKNOWNS) and
     lengths (10, UNKNOWNS) : the sticks'.
@@ -49,9 +49,9 @@ class ShapeDerivatives(NamedTuple):
 
 
 class ShapeArrays(NamedTuple):
-    """The figure as a linear function of the unknowns (UNKNOWNS,), sizes in metres, build in units of how people
-    differ: about ``centre``, with its derivatives; ``bends`` : as its trunk bends. Sizes alone enter linearly; a build
-    times a size is taken at the centre, which costs half a per cent of a radius where both are far off.
+    """The body's model as a linear function of the unknowns (UNKNOWNS,), sizes in metres, build in standard deviations,
+    about ``centre``; ``bends`` : derivatives by the trunk's bend. Sizes alone enter linearly; the product of build and
+    size is taken at the centre, which costs half a per cent of a radius where both are far off.
 
     stick (k,) : that each capsule is fixed to. capsules (k, 8), origins (10, 3), lengths (10,) : as in the
     derivatives.
@@ -67,7 +67,7 @@ class ShapeArrays(NamedTuple):
 
     @classmethod
     def of(cls, centre: np.ndarray) -> ShapeArrays:
-        """Return the figure about its unknowns' values (UNKNOWNS,)."""
+        """Linearise the model about its unknowns' values (UNKNOWNS,)."""
         parts, columns = _parts(centre), []
         for k in range(UNKNOWNS):
             values = centre.copy()
@@ -81,12 +81,12 @@ class ShapeArrays(NamedTuple):
 
 @njit(cache=True)
 def figure_at(model, values):
-    """Return the figure of a shape's values (UNKNOWNS,)."""
+    """Return the model of a shape's values (UNKNOWNS,)."""
     step, by = values - model.centre, model.derivatives
     capsules = model.capsules + (by.capsules * step).sum(axis=2)
     start, end, radii = capsules[:, :3].copy(), capsules[:, 3:6].copy(), capsules[:, 6:].copy()
     lengths, origins = model.lengths + (by.lengths * step).sum(axis=1), model.origins + (by.origins * step).sum(axis=2)
-    return Figure(lengths, origins, BodySurface(model.stick, start, end, radii))
+    return BodyModel(lengths, origins, BodySurface(model.stick, start, end, radii))
 
 
 def figure_change(model: ShapeArrays, values: np.ndarray, before: np.ndarray) -> float:
@@ -117,14 +117,14 @@ def _parts(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class ShapePrior:
-    """What is known before: mean (UNKNOWNS,) and covariance (UNKNOWNS, UNKNOWNS) of the unknowns."""
+    """Gaussian prior: mean (UNKNOWNS,) and covariance (UNKNOWNS, UNKNOWNS) of the unknowns."""
 
     mean: np.ndarray
     covariance: np.ndarray
 
     @classmethod
     def of(cls, estimate: BodyEstimate) -> ShapePrior:
-        """Sizes as they are known, build as people have it."""
+        """Return the prior of estimated sizes and an average build."""
         covariance = np.diag(np.ones(UNKNOWNS))
         covariance[SIZE, SIZE] = estimate.covariance
         return cls(np.concatenate([estimate.sizes, np.zeros(BUILD_NUMBERS)]), covariance)
@@ -135,46 +135,44 @@ class ShapePrior:
         return np.minimum(np.maximum(values, self.mean - reach), self.mean + reach)
 
 
-# --- what the contour rays of one pose say about the pose and the body's shape at once
+# --- normal equations of the contour rays of one pose for pose and shape together
 
 _AXIS = np.array(STICK_AXIS, dtype=np.int64)
 _SIGN = np.array(STICK_SIGN, dtype=np.float64)
 
 
 @njit(cache=True)
-def contour_system(rays, placed, turns, model, robust, H, g):
-    """Fill H (n, n) and g (n,), n = POSE + unknowns, such that H d = g lessens the distances.
+def contour_system(rays, posed, turns, model, robust, H, g):
+    """Fill the normal equations H d = g of the rays' distances, n = POSE + unknowns; return the explained share.
 
-    Returns the share of the rays that is explained.
-
-    ``turns`` (4, 2) rad of hands and feet, with which the figure is ``placed``. ``robust`` = gate, slack, separation up
-    to which a ray is explained, metres.
+    ``turns`` (4, 2) rad : of hands and feet in ``posed``. ``robust`` = gate, slack, separation up to which a ray is
+    explained, metres.
     """
     gate, slack, explained = robust
-    unknowns, match = H.shape[0] - POSE, match_rays(rays, placed, slack)
-    sums = no_sums(placed.P.shape[0], WHOLE)
+    unknowns, match = H.shape[0] - POSE, match_rays(rays, posed, slack)
+    sums = no_sums(posed.P.shape[0], WHOLE)
     sum_rays(rays, match, gate, sums)
-    starts = start_columns(placed.G, model.derivatives)
+    starts = start_columns(posed.G, model.derivatives)
     wide = CHAIN_COLUMNS + BEND_NUMBERS + ANGLES + unknowns
     M, slots = np.empty((2 * WHOLE, wide)), np.empty(wide, np.int64)
     work = np.empty((2 * WHOLE + 1, 2 * WHOLE))
     H[:] = 0.0
     g[:] = 0.0
-    for k in range(placed.P.shape[0]):
-        n = pose_columns(k, placed, M, slots)
-        bend_columns(k, placed, model.bends, M[:, n:], WHOLE)
+    for k in range(posed.P.shape[0]):
+        n = pose_columns(k, posed, M, slots)
+        bend_columns(k, posed, model.bends, M[:, n:], WHOLE)
         for s in range(BEND_NUMBERS):
             slots[n + s] = TANGENT + s
         n += BEND_NUMBERS
-        e = end_of_capsule(k)
+        e = extremity_of_capsule(k)
         if e >= 0:
-            turn_columns(e, placed, M[:, n:], WHOLE)
+            turn_columns(e, posed, M[:, n:], WHOLE)
             for a in range(ANGLES):
                 slots[n + a] = BENT + ANGLES * e + a
             n += ANGLES
         M[3, :n] = 0.0  # neither pose, bend nor turn changes a radius
         M[7, :n] = 0.0
-        shape_columns(k, placed, turns, starts, model.derivatives, M[:, n:])
+        shape_columns(k, posed, turns, starts, model.derivatives, M[:, n:])
         add_whole_capsule(sums, k, M, slots, n, unknowns, work, H, g)
     mirror_upper(H)
     return np.sum(match.separation < explained) / max(match.separation.shape[0], 1)
@@ -199,15 +197,15 @@ def start_columns(G, derivatives):
 
 
 @njit(cache=True)
-def shape_columns(k, placed, turns, starts, derivatives, M):
+def shape_columns(k, posed, turns, starts, derivatives, M):
     """Fill M (8, unknowns) with the derivatives of capsule k with respect to the shape's unknowns.
 
-    What lies beyond a wrist or an ankle follows in the frame that is turned there.
+    Beyond a wrist or an ankle they are taken in the turned frame.
     """
-    j, e = placed.surface.stick[k], end_of_capsule(k)
-    G, E = placed.G[j], placed.G[j]
+    j, e = posed.surface.stick[k], extremity_of_capsule(k)
+    G, E = posed.G[j], posed.G[j]
     if e >= 0:
-        E = turned_frame(e, placed, turns)
+        E = turned_frame(e, posed, turns)
     for s in range(starts.shape[2]):
         for end in range(2):
             for i in range(3):

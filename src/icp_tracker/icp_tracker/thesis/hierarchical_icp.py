@@ -20,8 +20,8 @@ from capture_rig.kernel import njit
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
-from stick_figure.least_squares.placed_figure import STICKS, Figure, State, columns
 from stick_figure.least_squares.point_factor import place_feet, prefer_stick
+from stick_figure.least_squares.posed_model import STICKS, BodyModel, PoseState, columns
 from stick_figure.pose import Pose
 from stick_figure.skeleton import PARENT, PREORDER
 
@@ -64,7 +64,7 @@ def fit_hierarchical(
 
     Returns the pose, the total of the sticks' iterations, and whether every stick converged.
     """
-    state, figure = State.of(start), Figure.of(body)
+    state, figure = PoseState.of(start), BodyModel.of(body)
     G, *_ = kernels.place_sticks(state, figure.lengths, figure.origins)
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     iterations, converged = align_sticks(points, G, state.t0, figure, descendant_weight)
@@ -72,7 +72,7 @@ def fit_hierarchical(
     return inverse(body, _reference_points(G, state.t0, figure), start), iterations, converged
 
 
-def _reference_points(G: np.ndarray, t0: np.ndarray, figure: Figure) -> np.ndarray:
+def _reference_points(G: np.ndarray, t0: np.ndarray, figure: BodyModel) -> np.ndarray:
     A, B, P = np.empty((STICKS, 3)), np.empty((STICKS, 3)), np.empty((15, 3))
     kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
     kernels.reference_points(A, B, t0, P)

@@ -114,7 +114,7 @@ def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tu
         corners, ids, *_ = detector.detectBoard(variant.make(image))
         if ids is not None and len(ids) >= MIN_CORNERS:
             seen = variant.to_raw(np.reshape(corners, (-1, 2)).astype(float))
-            grid = followed(image, FlatBoard(board), np.ravel(ids), seen)
+            grid = fit_grid(image, FlatBoard(board), np.ravel(ids), seen)
             if _is_plausible(grid, board):
                 return grid
     return _by_colours(image, board, variants)
@@ -156,7 +156,7 @@ class FlatBoard:
         return np.asarray(cv2.perspectiveTransform(places[:, None], homography), float).reshape(*self.shape, 2)
 
 
-def followed(image: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], corners: Array) -> CornerGrid:
+def fit_grid(image: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], corners: Array) -> CornerGrid:
     """Fit corners where a flat board with the corners ``ids`` has them; expect the others from those found, until
     nothing is added."""
     grid, expected = empty_grid(*view.shape), view.corners(ids, corners)
@@ -261,7 +261,7 @@ def find_from_outer_corners(
         orders = [around, np.roll(around, 1, axis=0)]
     _require_clockwise(orders[0], where)
     outer_ids = np.ravel_multi_index(OUTER, view.shape, mode="wrap")
-    grid = max((followed(grey, view, outer_ids, order) for order in orders), key=lambda grid: grid.count)
+    grid = max((fit_grid(grey, view, outer_ids, order) for order in orders), key=lambda grid: grid.count)
     if grid.count < HALF * grid.found.size:
         raise InputError(
             f"only {grid.count} of {grid.found.size} corners are seen where the four given ones put the board",

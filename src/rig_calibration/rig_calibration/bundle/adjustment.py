@@ -21,7 +21,7 @@ import numpy as np
 from capture_rig.lens import NEGLIGIBLE, Array
 
 from ..boards.x_corner import CONVERGED_PX
-from .state import POSE, Bools, Linearised, Observations, State, linearise, residuals_px
+from .state import POSE, Bools, BundleState, LinearisedRows, Observations, linearise, residuals_px
 
 # Threshold: from the normal distribution (99 % efficiency).
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
@@ -46,7 +46,7 @@ class Prior:
     information: Array
 
 
-def adjust(state: State, seen: Observations, free: FreeUnknowns, prior: Prior) -> tuple[State, float]:
+def adjust(state: BundleState, seen: Observations, free: FreeUnknowns, prior: Prior) -> tuple[BundleState, float]:
     """Adjust robustly, estimating the state and the scale of the noise (the corners' standard deviations are that many
     times those given) in turns."""
     scale = noise_scale(state, seen)
@@ -58,7 +58,7 @@ def adjust(state: State, seen: Observations, free: FreeUnknowns, prior: Prior) -
     return state, scale
 
 
-def noise_scale(state: State, seen: Observations) -> float:
+def noise_scale(state: BundleState, seen: Observations) -> float:
     """Estimate the residuals' standard deviation over the one given, by the median: outliers do not count. No less
     than corners are fitted to."""
     corners = seen.weight > 0
@@ -66,22 +66,22 @@ def noise_scale(state: State, seen: Observations) -> float:
     return max(float(np.median(normalised_lengths(state, seen)[corners])) / RAYLEIGH_MEDIAN, floor)
 
 
-def normalised_lengths(state: State, seen: Observations) -> Array:
+def normalised_lengths(state: BundleState, seen: Observations) -> Array:
     """Compute the (s, n) lengths of the residuals in standard deviations; 0 where there is no corner."""
     with np.errstate(invalid="ignore"):
         lengths = np.linalg.norm(residuals_px(state, seen), axis=2) * seen.weight
     return np.where(seen.weight > 0, lengths, 0.0)
 
 
-def robust_rows(state: State, seen: Observations) -> Linearised:
+def robust_rows(state: BundleState, seen: Observations) -> LinearisedRows:
     """Linearise the residuals, corners beyond Huber's limit weighed down so that least squares gives his estimate."""
     linear = linearise(state, seen)
     lengths = np.linalg.norm(linear.residual.reshape(len(linear.residual), -1, 2), axis=2)
     root = np.repeat(np.sqrt(np.minimum(1.0, HUBER / np.maximum(lengths, 1e-300))), 2, axis=1)
-    return Linearised(root * linear.residual, root[..., None] * linear.by_shared, root[..., None] * linear.by_pose)
+    return LinearisedRows(root * linear.residual, root[..., None] * linear.by_shared, root[..., None] * linear.by_pose)
 
 
-def _levenberg_marquardt(state: State, seen: Observations, free: FreeUnknowns, prior: Prior) -> State:
+def _levenberg_marquardt(state: BundleState, seen: Observations, free: FreeUnknowns, prior: Prior) -> BundleState:
     damping, cost = 1e-4, _cost(state, seen, prior)
     if not np.isfinite(cost):
         return state
@@ -101,7 +101,7 @@ def _levenberg_marquardt(state: State, seen: Observations, free: FreeUnknowns, p
     return state
 
 
-def _cost(state: State, seen: Observations, prior: Prior) -> float:
+def _cost(state: BundleState, seen: Observations, prior: Prior) -> float:
     if not (np.all(state.scale > 0) and np.all(state.lens[:, :2] > 0)):
         return np.inf
     lengths = normalised_lengths(state, seen)
@@ -136,7 +136,7 @@ class Reduced(NamedTuple):
     V_inverse: Array
 
 
-def normal_equations(linear: Linearised, seen: Observations, state: State, prior: Prior) -> NormalEquations:
+def normal_equations(linear: LinearisedRows, seen: Observations, state: BundleState, prior: Prior) -> NormalEquations:
     """Sum the normal equations of all detections by pose; a camera sees each pose of a target once."""
     J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
     products = np.swapaxes(J, 1, 2) @ J
@@ -177,7 +177,7 @@ def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tupl
     return shared, (reduced.V_inverse @ rest[..., None])[..., 0]
 
 
-def shared_of(state: State) -> Array:
+def shared_of(state: BundleState) -> Array:
     """Lenses, scales and warps as laid out, zeros for the poses of cameras (no prior speaks of those)."""
     by_camera = np.hstack([np.zeros((len(state.lens), POSE)), state.lens])
     return np.concatenate([by_camera.ravel(), np.column_stack([state.scale, state.board_warp]).ravel()])

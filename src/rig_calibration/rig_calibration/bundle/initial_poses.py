@@ -29,7 +29,7 @@ from capture_rig.lens import Array
 from capture_rig.rigid import angles_between, inverse, transform
 
 from ..boards.board import TargetDetection
-from .problem import LINE, DetectionPoses, PoseKey, View
+from .problem import LINE, DetectionPoses, PoseKey, TargetView
 
 # Thresholds: judgement, no measurement.
 TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
@@ -104,7 +104,7 @@ class InitialPoses(NamedTuple):
     ways: tuple[int, ...]
 
 
-def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
+def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[TargetView]) -> InitialPoses:
     """Find poses good enough to start the adjustment from; InputError when the pairs leave a camera untied."""
     pairs = relative_poses(cameras, views)
     root, T_camera_root = poses_along_spanning_tree(sorted(cameras), pairs)
@@ -122,10 +122,12 @@ def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> 
     return InitialPoses(root, T_camera_root, T_root_target, tuple(ways.values()))
 
 
-def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
+def relative_poses(
+    cameras: Mapping[str, CameraModel], views: Sequence[TargetView]
+) -> dict[tuple[str, str], RelativePose]:
     """Find the relative pose of each pair of cameras (a < b) with common frames, by boards or, where better, by
     wands."""
-    by_camera: dict[str, dict[PoseKey, View]] = {name: {} for name in sorted(cameras)}
+    by_camera: dict[str, dict[PoseKey, TargetView]] = {name: {} for name in sorted(cameras)}
     for view in views:
         by_camera[view.detection.camera][view.key] = view
     pairs = {}
@@ -176,7 +178,7 @@ def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> R
     return RelativePose(*_consensus(observed)[:2])
 
 
-def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
+def _vote(seen: Sequence[tuple[TargetView, Array]]) -> tuple[Array | None, list[int]]:
     """Return the pose of a target in a frame that its views agree on best, and which way round each view shows it."""
     observed = []
     for view, T_camera_root in seen:
@@ -222,7 +224,9 @@ INLIER_PX, CONFIDENCE = 3.0, 0.9999
 Pair = tuple[Array, Array, Array]  # a wand in a frame: its markers' ideal points (k, 2) in a and b, positions (k, 3)
 
 
-def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b: CameraModel) -> RelativePose | None:
+def relative_pose_of_line(
+    common: Sequence[tuple[TargetView, TargetView]], a: CameraModel, b: CameraModel
+) -> RelativePose | None:
     """Find the pose of camera b relative to a from wands that both saw in the same frames; None when there are too few.
 
     Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
@@ -242,7 +246,7 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
     return _with_scale(E, fitting) if fitting else None
 
 
-def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
+def line_pose(seen: Sequence[tuple[TargetView, Array]]) -> tuple[Array | None, list[int]]:
     """Find the pose of a wand in one frame by triangulation, and the way round that each view shows it.
 
     ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views tell it.
@@ -293,7 +297,7 @@ def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Arra
     return solution[:3] / solution[3]
 
 
-def _fit_line(seen: Sequence[tuple[View, Array]], ways: Sequence[int]) -> tuple[Array | None, float]:
+def _fit_line(seen: Sequence[tuple[TargetView, Array]], ways: Sequence[int]) -> tuple[Array | None, float]:
     """The wand's pose, and how far (share of the distance) its markers are seen from it."""
     model, places = seen[0][0].shape.points, [T for _, T in seen]
     shown = [_turned(view.ideal, way) for (view, _), way in zip(seen, ways, strict=True)]
@@ -305,7 +309,7 @@ def _fit_line(seen: Sequence[tuple[View, Array]], ways: Sequence[int]) -> tuple[
     return pose, float(np.mean([_miss(pose, *one, way) for one, way in zip(seen, ways, strict=True)]))
 
 
-def _miss(pose: Array, view: View, T_camera_root: Array, way: int) -> float:
+def _miss(pose: Array, view: TargetView, T_camera_root: Array, way: int) -> float:
     T = T_camera_root @ pose
     seen = T[:3, :3] @ view.shape.points.T + T[:3, 3:]
     if np.any(seen[2] <= 0):

@@ -191,7 +191,7 @@ def _rms(points: Array, ideal: Array, R: Array, t: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class TargetView:
     """A detection, its corners without distortion (n, 2), and the poses of the target that it alone allows (None: it
     allows no conclusion by itself)."""
 
@@ -212,11 +212,11 @@ class View:
 
 def views_of(
     detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
-) -> list[View]:
+) -> list[TargetView]:
     """Make the views of all detections, in their order."""
     views = []
     for detection in detections:
         shape, camera = shapes[detection.target], cameras[detection.camera]
         ideal = camera.ideal_points(detection.pixels)
-        views.append(View(detection, shape, ideal, poses_of(detection.ids, ideal, camera, shape)))
+        views.append(TargetView(detection, shape, ideal, poses_of(detection.ids, ideal, camera, shape)))
     return views

@@ -38,8 +38,8 @@ from .adjustment import (
     step,
 )
 from .initial_poses import InitialPoses
-from .problem import LINE, Problem, View
-from .state import POSE, WARP, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
+from .problem import LINE, Problem, TargetView
+from .state import POSE, WARP, BundleState, Ints, LinearisedRows, Observations, lens_of, observe, residuals_px
 
 ROUNDS = 20
 DISPLACEMENT_ROUNDS = 8
@@ -63,7 +63,7 @@ class RejectedDetection:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class RobustFit:
     """The state of the solver: all detections, which of them still take part (``rows``), and the adjusted state.
 
     ``seen`` holds the observations of all detections, whose standard deviations are ``scale`` times those given;
@@ -75,7 +75,7 @@ class Fit:
     all_detections: tuple[TargetDetection, ...]
     seen: Observations
     rows: Ints
-    state: State
+    state: BundleState
     root: int
     left_out: tuple[RejectedDetection, ...]
     prior: Prior
@@ -105,12 +105,12 @@ class Fit:
             shared[layout.camera(camera)] = camera != self.root
         return FreeUnknowns(shared, np.isin(np.arange(len(self.state.position)), self.seen.pose[self.rows]))
 
-    def rows_at_solution(self) -> Linearised:
+    def rows_at_solution(self) -> LinearisedRows:
         """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
         return robust_rows(self.state, self.used.weighted(np.array(1 / self.scale)))
 
 
-def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
+def start_fit(problem: Problem, views: Sequence[TargetView], initial: InitialPoses) -> RobustFit:
     """Make the first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
     keys, names, targets = problem.keys, list(problem.cameras), list(problem.shapes)
     detections = tuple(
@@ -133,10 +133,10 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
     sd[np.delete(layout.scales, most_seen)] = SIZE_SD
     prior = Prior(shared_of(state), np.diag(sd**-2.0))
     rows = np.flatnonzero(keep)
-    return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
+    return RobustFit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
 
 
-def settled(fit: Fit) -> Fit:
+def settled(fit: RobustFit) -> RobustFit:
     """Adjust and leave out what contradicts the rest, until nothing does; then allow targets to have moved between the
     cameras' exposures."""
     fit = adjusted(fit)
@@ -150,7 +150,7 @@ def settled(fit: Fit) -> Fit:
     return _with_displacement(fit)
 
 
-def adjusted(fit: Fit) -> Fit:
+def adjusted(fit: RobustFit) -> RobustFit:
     """Adjust with all detections that take part."""
     if len(fit.rows) == 0:
         return fit
@@ -158,10 +158,10 @@ def adjusted(fit: Fit) -> Fit:
     return replace(fit, state=state, scale=scale)
 
 
-def _first_state(problem: Problem, initial: InitialPoses) -> State:
+def _first_state(problem: Problem, initial: InitialPoses) -> BundleState:
     T_root_camera = inverse(np.array([initial.T_camera_root[name] for name in problem.cameras]))
     T = np.array([initial.T_root_target.get(key, np.eye(4)) for key in problem.keys])
-    return State(
+    return BundleState(
         np.swapaxes(T_root_camera[:, :3, :3], 1, 2),
         T_root_camera[:, :3, 3],
         np.array([lens_of(camera) for camera in problem.cameras.values()]),
@@ -173,7 +173,7 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
     )
 
 
-def _contradictions(fit: Fit) -> list[tuple[int, str]]:
+def _contradictions(fit: RobustFit) -> list[tuple[int, str]]:
     """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
     seen = fit.used
     # the median residual of each over what is to be expected: about 1 when all is well
@@ -195,7 +195,7 @@ def _contradictions(fit: Fit) -> list[tuple[int, str]]:
 # --- Detections that are believed less than their corners claim.
 
 
-def _with_displacement(fit: Fit) -> Fit:
+def _with_displacement(fit: RobustFit) -> RobustFit:
     """Where cameras contradict one another more than corners' noise explains, targets may have moved between them."""
     state, free = fit.state, fit.free
     for _ in range(DISPLACEMENT_ROUNDS):
@@ -209,7 +209,7 @@ def _with_displacement(fit: Fit) -> Fit:
     return fit
 
 
-def displacement_of(linear: Linearised, poses: Ints, shared: int, corners: int) -> float:
+def displacement_of(linear: LinearisedRows, poses: Ints, shared: int, corners: int) -> float:
     """Estimate the displacement (sd, m) of detections; 0 where noise explains as much.
 
     ``poses`` (s,): the pose of each; ``shared``: free shared unknowns; ``corners``: how many there are.
@@ -231,7 +231,7 @@ def displacement_of(linear: Linearised, poses: Ints, shared: int, corners: int) 
     return float(brentq(excess, 0.0, np.sqrt((squares / values).sum() / dof)))
 
 
-def whitened(linear: Linearised, tau: float) -> Linearised:
+def whitened(linear: LinearisedRows, tau: float) -> LinearisedRows:
     """Transform the rows so that the residuals are independent again; tau: sd of each detection's displacement, m."""
     A = linear.by_pose[:, :, POSITION]
     values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
@@ -242,4 +242,4 @@ def whitened(linear: Linearised, tau: float) -> Linearised:
     def apply(rows: Array) -> Array:
         return rows - A @ (M @ (np.swapaxes(A, 1, 2) @ rows))
 
-    return Linearised(apply(linear.residual[..., None])[..., 0], apply(linear.by_shared), apply(linear.by_pose))
+    return LinearisedRows(apply(linear.residual[..., None])[..., 0], apply(linear.by_shared), apply(linear.by_pose))

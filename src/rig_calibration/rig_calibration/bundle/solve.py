@@ -18,8 +18,8 @@ from ..boards.board import TargetDetection
 from .adjustment import HUBER, FreeUnknowns, Prior, normal_equations, normalised_lengths, reduce, shared_of, step
 from .initial_poses import cameras_by_pose, initial_poses, require_connected
 from .problem import PoseKey, Problem, check_problem, views_of
-from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit, whitened
-from .state import Bools, State, camera_with, residuals_px
+from .robust_fit import NO_POSE, RejectedDetection, RobustFit, settled, start_fit, whitened
+from .state import Bools, BundleState, camera_with, residuals_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def solve_rig(
 # --- The frame of the solution.
 
 
-def _in_frame_of(row: int, fit: Fit) -> Fit:
+def _in_frame_of(row: int, fit: RobustFit) -> RobustFit:
     """Transform the solution into the target's own frame at pose ``row``."""
     state = fit.state
     R, origin = state.R_pose[row].T, _target_origin(fit.problem, state, row)
@@ -116,7 +116,7 @@ def _in_frame_of(row: int, fit: Fit) -> Fit:
     return replace(fit, state=moved)
 
 
-def _target_origin(problem: Problem, state: State, row: int) -> Array:
+def _target_origin(problem: Problem, state: BundleState, row: int) -> Array:
     """Return (3,) where the origin of the target's own frame lies, for pose ``row``."""
     names = list(problem.shapes)
     name = problem.keys[row][0]
@@ -133,7 +133,7 @@ WIDE = 0.1  # of the focal length: standard deviation of what is assumed of all 
 PINHOLE = 4
 
 
-def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
+def _focal_ratios(fit: RobustFit) -> dict[str, tuple[float, float]]:
     """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
     standard deviation."""
     state, names = fit.state, list(fit.problem.cameras)
@@ -155,7 +155,7 @@ def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _solution(fit: Fit, reference: int | None) -> RigSolution:
+def _solution(fit: RobustFit, reference: int | None) -> RigSolution:
     """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
     problem, state, used, layout = fit.problem, fit.state, fit.used, fit.state.layout
     names = list(problem.cameras)
@@ -190,7 +190,7 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
     )
 
 
-def _free(fit: Fit, reference: int | None) -> FreeUnknowns:
+def _free(fit: RobustFit, reference: int | None) -> FreeUnknowns:
     """Return all that moves when the reference holds the frame; without one the root camera does."""
     free = fit.free
     if reference is None:
@@ -205,7 +205,7 @@ def _place(out: RejectedDetection) -> tuple[str, int, str]:
     return out.detection.target, out.detection.frame_index, out.detection.camera
 
 
-def _undecided(fit: Fit) -> tuple[str, ...]:
+def _undecided(fit: RobustFit) -> tuple[str, ...]:
     """Cameras linked to the others by a single pose of a target that looks alike after half a turn."""
     shared = [(target, names) for (target, _), names in cameras_by_pose(fit.detections).items() if len(names) > 1]
     links = {name: [target for target, names in shared if name in names] for name in fit.problem.cameras}
@@ -241,7 +241,7 @@ class Covariance(NamedTuple):
     inflation: float
 
 
-def covariance(fit: Fit, free: FreeUnknowns) -> Covariance:
+def covariance(fit: RobustFit, free: FreeUnknowns) -> Covariance:
     """Compute the covariances at the solution; ``free`` sets the gauge (and frees the lenses that were refined); lenses
     that are not adjusted are as uncertain as given."""
     scaled = fit.used.weighted(np.array(1 / fit.scale))

@@ -26,7 +26,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class BundleState:
     """The unknowns, in one common frame.
 
     R_camera (c, 3, 3), centre (c, 3): x_camera = R_camera (x - centre); lens (c, 12): fx fy cx cy k1 k2 p1 p2 k3 k4 k5
@@ -48,7 +48,7 @@ class State:
     def layout(self) -> Layout:
         return Layout(len(self.centre), len(self.scale))
 
-    def moved(self, shared: Array, poses: Array) -> State:
+    def moved(self, shared: Array, poses: Array) -> BundleState:
         """The state after a step: ``shared`` (as laid out by :class:`Layout`), ``poses`` (m, 6) rotation, position.
 
         Cameras turn about their centre by a rotation vector in their own frame, targets about their centroid by one
@@ -56,7 +56,7 @@ class State:
         """
         layout, cameras = self.layout, len(self.centre)
         by_camera = shared[: cameras * OF_CAMERA].reshape(cameras, OF_CAMERA)
-        return State(
+        return BundleState(
             nearest_rotation(rotation_matrix(by_camera[:, :3]) @ self.R_camera),
             self.centre + by_camera[:, 3:POSE],
             self.lens + by_camera[:, POSE:],
@@ -170,7 +170,7 @@ def camera_with(camera: CameraModel, lens: Array, T_camera_world: Array) -> Came
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearisedRows:
     """residual (s, 2n) seen minus predicted, over its standard deviation; derivatives of the prediction, likewise:
     by_shared (s, 2n, OF_CAMERA + OF_TARGET), as :meth:`Layout.columns` has them, and by_pose (s, 2n, 6)."""
 
@@ -179,7 +179,7 @@ class Linearised:
     by_pose: Array
 
 
-def residuals_px(state: State, seen: Observations) -> Array:
+def residuals_px(state: BundleState, seen: Observations) -> Array:
     """Compute (s, n, 2) seen minus predicted pixels; infinite for a corner behind its camera."""
     x = _in_camera(state, seen, _arm(state, seen))
     lens = state.lens[seen.camera][:, None]
@@ -189,7 +189,7 @@ def residuals_px(state: State, seen: Observations) -> Array:
     return np.where(x[..., 2:] > 0, seen.pixels - predicted, np.inf)
 
 
-def linearise(state: State, seen: Observations) -> Linearised:
+def linearise(state: BundleState, seen: Observations) -> LinearisedRows:
     """Compute the residuals and their analytic derivatives, at a state in which all corners lie in front of their
     cameras.
 
@@ -213,14 +213,16 @@ def linearise(state: State, seen: Observations) -> Linearised:
     weight = seen.weight[..., None]
     rows = lambda a: (a * weight[..., None]).reshape(len(a), 2 * a.shape[1], -1)  # noqa: E731
     by_pose = np.concatenate([np.cross(arm[:, :, None], q), q], axis=-1)
-    return Linearised(
+    return LinearisedRows(
         (residual * weight).reshape(len(x), -1),
         rows(np.concatenate(of_camera + of_lens + of_target, axis=-1)),
         rows(by_pose),
     )
 
 
-def _by_model(of_lens: Callable[..., Sequence[Array]], ideal: Array, state: State, seen: Observations) -> list[Array]:
+def _by_model(
+    of_lens: Callable[..., Sequence[Array]], ideal: Array, state: BundleState, seen: Observations
+) -> list[Array]:
     """Return what a function of ideal points (s, n, 2) and coefficients gives, of each detection by its lens model."""
     fisheye, D = state.fisheye[seen.camera], state.lens[seen.camera][:, None, 4:]
     if not fisheye.any():
@@ -230,7 +232,7 @@ def _by_model(of_lens: Callable[..., Sequence[Array]], ideal: Array, state: Stat
     return [np.where(fisheye.reshape(-1, *[1] * (of.ndim - 1)), its, of) for of, its in results]
 
 
-def _arm(state: State, seen: Observations) -> Array:
+def _arm(state: BundleState, seen: Observations) -> Array:
     """Return (s, n, 3) from the target's centroid to its corners, common frame."""
     points = seen.points.copy()
     points[..., 2] += (seen.bend @ state.board_warp[seen.target][:, :, None])[..., 0]
@@ -238,6 +240,6 @@ def _arm(state: State, seen: Observations) -> Array:
     return points @ np.swapaxes(scaled, 1, 2)
 
 
-def _in_camera(state: State, seen: Observations, arm: Array) -> Array:
+def _in_camera(state: BundleState, seen: Observations, arm: Array) -> Array:
     x = arm + (state.position[seen.pose] - state.centre[seen.camera])[:, None]
     return x @ np.swapaxes(state.R_camera[seen.camera], 1, 2)

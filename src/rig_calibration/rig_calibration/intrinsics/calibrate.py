@@ -19,7 +19,7 @@ from capture_rig.rigid import transform
 from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import initial_poses
 from ..bundle.problem import check_problem, shapes_of, views_of
-from ..bundle.robust_fit import Fit, adjusted, settled, start_fit
+from ..bundle.robust_fit import RobustFit, adjusted, settled, start_fit
 from ..bundle.solve import covariance
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, MODELS, SIMPLE, LensModel, edge_sd_px
@@ -123,7 +123,7 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
     return min(trials, key=typical_misfit)
 
 
-def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board: Board, model: LensModel) -> Fit:
+def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board: Board, model: LensModel) -> RobustFit:
     """Return the solver's first state: poses by that lens, lens and warp free with their prior."""
     target = detections[0].target
     problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, (), {})
@@ -134,11 +134,11 @@ def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board:
     return replace(fit, prior=prior)
 
 
-def _camera_of(fit: Fit) -> CameraModel:
+def _camera_of(fit: RobustFit) -> CameraModel:
     return camera_with(next(iter(fit.problem.cameras.values())), fit.state.lens[0], np.eye(4))
 
 
-def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
+def _result_of(fit: RobustFit, model: LensModel, board: Board) -> Intrinsics:
     found, used, state = covariance(fit, fit.free), fit.used, fit.state
     sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
     columns, count = model.columns, len(model.names)

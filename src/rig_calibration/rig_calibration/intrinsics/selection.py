@@ -34,7 +34,7 @@ SIDES = ("left", "right", "top", "bottom")
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class BoardView:
     """A detection and how it shows the board: centre (2,) px; size: side of its area, as a share of the image's;
     lean_rad (2,) how much its edges at the image's right (+, left -) and bottom (+, top -) lean towards the camera;
     roll_rad in the image."""
@@ -45,7 +45,7 @@ class View:
     lean_rad: Array
     roll_rad: float
 
-    def unlike(self, other: View) -> float:
+    def unlike(self, other: BoardView) -> float:
         """1 and more: another view; less: the same again."""
         roll = np.rad2deg(np.angle(np.exp(1j * (self.roll_rad - other.roll_rad))))
         differences = (
@@ -57,7 +57,7 @@ class View:
         return float(np.linalg.norm(differences))
 
 
-def view_of(detection: TargetDetection, board: Board, lens: CameraModel) -> View | None:
+def view_of(detection: TargetDetection, board: Board, lens: CameraModel) -> BoardView | None:
     """Tell what a board means to the person who holds it, seen by roughly this lens; None when its pose is unknown."""
     pixels, shape = detection.pixels, target_shape("", board.corners_board)
     poses = poses_of(detection.ids, lens.ideal_points(pixels), lens, shape)
@@ -69,7 +69,7 @@ def view_of(detection: TargetDetection, board: Board, lens: CameraModel) -> View
     direction = -np.array([x, y]) / max(np.hypot(x, y), 1e-12)  # facing left (-x) means: its right edge is nearer
     area = cv2.contourArea(cv2.convexHull(pixels.astype(np.float32)))
     along = pixels[-1] - pixels[0]  # the board's long way through its corners
-    return View(
+    return BoardView(
         detection,
         centre_px=pixels.mean(axis=0),
         size=float(np.sqrt(area / np.prod(detection.image_size))),
@@ -115,7 +115,7 @@ class Coverage:
         return f"tilt the board by 30 to 45 degrees, its {side} edge towards the camera"
 
 
-def coverage_of(views: Sequence[View]) -> Coverage:
+def coverage_of(views: Sequence[BoardView]) -> Coverage:
     """Summarise what views show."""
     size = views[0].detection.image_size if views else (4, 3)
     cells = np.zeros((max(round(CELLS_ACROSS * size[1] / size[0]), 2), CELLS_ACROSS), bool)
@@ -164,7 +164,7 @@ class ViewCollector:
         self.examined = self.found = 0
         self.reasons: Counter[str] = Counter()
         self._model, self._every = LensModel(model), every
-        self._views: list[View] = []
+        self._views: list[BoardView] = []
 
     @property
     def detections(self) -> list[TargetDetection]:
@@ -225,7 +225,7 @@ class ViewCollector:
             return "show the whole board to the camera and hold it still"
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
 
-    def _compare(self, view: View) -> str:
+    def _compare(self, view: BoardView) -> str:
         distances = [view.unlike(other) for other in self._views]
         if not self._every and distances and min(distances) < 1.0:
             nearest = int(np.argmin(distances))

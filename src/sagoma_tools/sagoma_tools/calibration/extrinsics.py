@@ -82,11 +82,11 @@ def _detect_floor(request: RigRequest, sources: Sources, corners: Corners) -> Ca
         raise InputError(f"there is no camera '{unknown[0]}'", where=str(request.corners), remedy=remedy)
     floor = sources.detect_floor(board, corners)
     if request.click is not None and floor:
-        ask_for_corners(request, floor)
+        request_corners(request, floor)
     return floor
 
 
-def ask_for_corners(request: RigRequest, floor: CamerasDetections) -> None:
+def request_corners(request: RigRequest, floor: CamerasDetections) -> None:
     """Raise InputError that asks for the corners in the requested cameras, or in all without a detection.
 
     Writes their pictures under a grid and a file to fill in beside the output.

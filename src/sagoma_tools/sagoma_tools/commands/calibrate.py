@@ -170,7 +170,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
 
         with RosLink("sagoma_calibrate") as link, StopOnSignal() as stop:
             wanted = args.cameras, args.without, args.moving is not None
-            live = LiveSources(link.node, *wanted, partial(_ask, console), stop)
+            live = LiveSources(link.node, *wanted, partial(_prompt, console), stop)
             calibrated = calibrate_extrinsics(request, live, console)
     else:
         from ..calibration.rig_detections import FootageSources
@@ -180,7 +180,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
     return FAILED if calibrated.verdict.grade == REDO else 0
 
 
-def _ask(console: Console, what: str) -> None:
+def _prompt(console: Console, what: str) -> None:
     """Tell a person what to do, and wait until it is done where somebody can say so."""
     if sys.stdin.isatty():
         console.input(f"{what}, then press Enter: ")

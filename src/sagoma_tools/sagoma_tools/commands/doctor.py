@@ -14,7 +14,7 @@ from capture_rig.stop_signals import StopOnSignal
 
 from ..console import CommandConsole, doing, until_stopped
 from ..doctor.cameras import examine_camera
-from ..doctor.findings import Finding, about, exit_status, show, summary
+from ..doctor.findings import CheckResult, about, exit_status, show, summary
 from ..doctor.graph import examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
@@ -84,7 +84,7 @@ def answer() -> int:
     return 0
 
 
-def examined(args: argparse.Namespace) -> Iterator[Finding]:
+def examined(args: argparse.Namespace) -> Iterator[CheckResult]:
     """Yield the findings on everything that the arguments name."""
     if not args.no_machine:
         yield from examine_machine()

@@ -35,7 +35,7 @@ from ..arguments import (
 )
 from ..console import CommandConsole, doing, until_stopped
 from ..graph import ROUND_S
-from ..graph.lifecycle_client import LifecycleClient, State
+from ..graph.lifecycle_client import LifecycleClient, LifecycleState
 from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
 from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
@@ -48,9 +48,9 @@ from ..view.server import ANY_HOST, PORT, Guard
 HOST = "127.0.0.1"
 # verb -> (the state it leads to, help)
 VERBS = {
-    "start": (State.ACTIVE, "configure and activate every node of the running graph"),
-    "suspend": (State.INACTIVE, "deactivate every node of the running graph; start goes on from there"),
-    "stop": (State.UNCONFIGURED, "deactivate and clean up every node of the running graph; processes stay"),
+    "start": (LifecycleState.ACTIVE, "configure and activate every node of the running graph"),
+    "suspend": (LifecycleState.INACTIVE, "deactivate every node of the running graph; start goes on from there"),
+    "stop": (LifecycleState.UNCONFIGURED, "deactivate and clean up every node of the running graph; processes stay"),
 }
 
 
@@ -105,7 +105,7 @@ def up(args: argparse.Namespace) -> int:
         recorder = bring_up(supervisor, args.record, stop, report_failure)
         until_stopped()
         if not stop.is_set():
-            active = sum(state == State.ACTIVE for state in supervisor.states().values())
+            active = sum(state == LifecycleState.ACTIVE for state in supervisor.states().values())
             console.print(f"{active} of {len(graph)} nodes are active")
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")

@@ -70,7 +70,9 @@ def add_biocv(kinds: argparse._SubParsersAction) -> None:
 def import_biocv(args: argparse.Namespace) -> int:
     """Import the trial, then print what was written and what to do next."""
     said = biocv.import_trial(args.trial, args.output, args.calibration, args.markers, args.mocap_delay)
-    return say(*said, f"next: sagoma background --from-footage {args.output}", evaluate(args, "--start session --json"))
+    return report(
+        *said, f"next: sagoma background --from-footage {args.output}", evaluate(args, "--start session --json")
+    )
 
 
 def import_bag(args: argparse.Namespace) -> int:
@@ -82,7 +84,7 @@ def import_bag(args: argparse.Namespace) -> int:
         said.append(f"next: sagoma calibrate extrinsics {lenses} --output {args.output}/rig.yaml ...")
     elif args.background is None:
         said.append(f"next: sagoma background --from-footage {args.output}")
-    return say(*said, evaluate(args))
+    return report(*said, evaluate(args))
 
 
 def import_humaneva(args: argparse.Namespace) -> int:
@@ -92,7 +94,7 @@ def import_humaneva(args: argparse.Namespace) -> int:
     count = frames and frames[1] - frames[0] + 1
     cameras = tuple(dict.fromkeys(args.cameras))
     said = import_trial(trial, args.output, cameras, frames, not args.no_truth, doing(COPYING, count))
-    return say(*said, f"then: sagoma up {args.output}" if args.no_truth else evaluate(args, "--start session"))
+    return report(*said, f"then: sagoma up {args.output}" if args.no_truth else evaluate(args, "--start session"))
 
 
 def evaluate(args: argparse.Namespace, options: str = "") -> str:
@@ -100,7 +102,7 @@ def evaluate(args: argparse.Namespace, options: str = "") -> str:
     return f"then: sagoma evaluate {args.output} {options}".rstrip()
 
 
-def say(*lines: str) -> int:
+def report(*lines: str) -> int:
     """Print lines; returns the exit status."""
     print(*lines, sep="\n")
     return 0

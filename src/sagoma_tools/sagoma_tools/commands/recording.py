@@ -94,7 +94,7 @@ def record(args: argparse.Namespace) -> int:
 
         topics = [*of_cameras, *OUTPUT_TOPICS, *topics_of_others(), DIAGNOSTICS]
         recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
-        recorder.follow()
+        recorder.add_new_sources()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         until_stopped()
         stop.wait(args.seconds)

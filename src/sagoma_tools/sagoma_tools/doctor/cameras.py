@@ -38,7 +38,7 @@ from gige_vision.gvsp import PixelFormat
 from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.middleware import resolve_packages
 
-from .findings import Finding, about, error, graded, note, ok, warning
+from .findings import CheckResult, about, error, note, ok, result_of, warning
 from .machine import Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
@@ -64,7 +64,7 @@ class CameraFile:
         return None if isinstance(self.calibration, InputError) else self.calibration.camera
 
 
-def examine_camera(path: Path, open_it: bool = False) -> Iterator[Finding]:
+def examine_camera(path: Path, open_it: bool = False) -> Iterator[CheckResult]:
     """Findings on the parameter file at ``path``, and the camera it names.
 
     open_it : take control of the camera, set it up as the client would, and report what it says.
@@ -96,7 +96,7 @@ def read_file(path: Path) -> CameraFile:
     return CameraFile(path, name, settings, calibration)
 
 
-def check_calibration(file: CameraFile) -> Iterator[Finding]:
+def check_calibration(file: CameraFile) -> Iterator[CheckResult]:
     """Whether the camera's lens and pose are known."""
     settings = file.settings
     yield ok("file", f"{file.path} describes camera {file.name}")
@@ -109,10 +109,10 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
         return
     text = f"{settings.rig_file or settings.camera_info_file}: {camera.name}, {camera.width} x {camera.height} pixels"
     remedy = "sagoma calibrate extrinsics, then name the rig file in rig_file."
-    yield graded("rig", text, (not calibration.placed, note, "lens_only", f"Its place is not known: {remedy}"))
+    yield result_of("rig", text, (not calibration.placed, note, "lens_only", f"Its place is not known: {remedy}"))
 
 
-def check_background(file: CameraFile) -> Iterator[Finding]:
+def check_background(file: CameraFile) -> Iterator[CheckResult]:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings, camera = file.settings, file.camera
@@ -130,22 +130,22 @@ def check_background(file: CameraFile) -> Iterator[Finding]:
         yield error("background.size_differs", size, learn)
         return
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
-    yield graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
+    yield result_of("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
 
 
-def check_timing(settings: AravisSettings) -> Iterator[Finding]:
+def check_timing(settings: AravisSettings) -> Iterator[CheckResult]:
     """Whether the exposure fits the frame rate, and whether the camera can be asked."""
     exposure_us, rate = settings.exposure_us, settings.frame_rate
     if exposure_us > 0 and rate > 0:
         text = f"{exposure_us:g} us at {rate:g} frames a second (at most {1e6 / rate:.0f} us)"
         remedy = "Shorten aravis.exposure_us or lower aravis.frame_rate."
-        yield graded("exposure", text, (exposure_us * 1e-6 * rate >= 1, error, "longer_than_frame", remedy))
+        yield result_of("exposure", text, (exposure_us * 1e-6 * rate >= 1, error, "longer_than_frame", remedy))
     if not settings.address:
         text = "found by broadcast when the client starts; not asked here"
         yield note("camera.no_address", text, "Give aravis.address to have it examined.")
 
 
-def check_interface(settings: AravisSettings, link: Interface | None) -> Iterator[Finding]:
+def check_interface(settings: AravisSettings, link: Interface | None) -> Iterator[CheckResult]:
     """Whether an interface leads to the camera and carries large packets."""
     if link is None:
         remedy = f"Give an interface an address in the camera's subnet; see: ip route get {settings.address}"
@@ -153,7 +153,7 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
         return
     plug = f"Plug the cable in, or: sudo ip link set {link.name} up"
     text = f"{link.name}, {link.address}, MTU {link.mtu}"
-    yield graded("interface", text, (not link.up, error, "down", plug))
+    yield result_of("interface", text, (not link.up, error, "down", plug))
     jumbo = f"sudo ip link set {link.name} mtu {JUMBO_MTU} (and the same on the switch)"
     if settings.packet_size > link.mtu:
         text = f"aravis.packet_size = {settings.packet_size}, but the MTU of {link.name} is {link.mtu}"
@@ -163,7 +163,7 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
         yield warning("mtu.no_jumbo_frames", text, jumbo)
 
 
-def check_identity(settings: AravisSettings) -> Iterator[Finding]:
+def check_identity(settings: AravisSettings) -> Iterator[CheckResult]:
     """Whether the camera answers, and is the configured one."""
     try:
         record = discover_at(settings.address).device
@@ -177,7 +177,7 @@ def check_identity(settings: AravisSettings) -> Iterator[Finding]:
             yield error(f"{key}.differs", text, f"Correct aravis.address or aravis.{key}.")
 
 
-def check_control(settings: AravisSettings, link: Interface | None) -> Finding | None:
+def check_control(settings: AravisSettings, link: Interface | None) -> CheckResult | None:
     """Whether the camera is free."""
     privilege = read_register(settings.address, bootstrap.CONTROL_PRIVILEGE)
     if privilege is None:
@@ -193,7 +193,7 @@ def check_control(settings: AravisSettings, link: Interface | None) -> Finding |
     return warning("control.taken", text, "Stop the program there; a camera has one controller.")
 
 
-def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | None:
+def check_bandwidth(sent: Mapping[str, float], link: Interface) -> CheckResult | None:
     """Whether what all cameras on this interface send, bytes a second, fits its link."""
     if not sent or not all(sent.values()):  # some rate is left to its camera
         return None
@@ -206,10 +206,10 @@ def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | Non
     remedy = "Lower frame rate, region or bit depth, give some cameras another interface, or space packets out with "
     remedy += "aravis.packet_delay_ns."
     full, busy = (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", remedy)
-    return graded("bandwidth", text, full, busy)
+    return result_of("bandwidth", text, full, busy)
 
 
-def check_opened(file: CameraFile) -> Iterator[Finding]:
+def check_opened(file: CameraFile) -> Iterator[CheckResult]:
     """What the camera says once its client's settings are made: features, PTP, temperature."""
     with AravisSource(file.settings.aravis, file.settings.channels) as source:
         for text in source.warnings:

@@ -28,7 +28,7 @@ class Severity(IntEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """One finding; ``remedy`` is empty where nothing is to be done; ``subject`` is what was examined ("graph")."""
 
     severity: Severity
@@ -47,19 +47,19 @@ class Finding:
         return {**asdict(self), "severity": self.severity.name.lower(), "about": self.about}
 
 
-note, warning, error = (partial(Finding, severity) for severity in list(Severity)[1:])
+note, warning, error = (partial(CheckResult, severity) for severity in list(Severity)[1:])
 
 
-def ok(about: str, what: str) -> Finding:
+def ok(about: str, what: str) -> CheckResult:
     """Return a check that passed; its code is "ABOUT.ok"."""
-    return Finding(Severity.OK, f"{about}.ok", what)
+    return CheckResult(Severity.OK, f"{about}.ok", what)
 
 
-Case = tuple[bool, Callable[[str, str, str], Finding], str, str]
+Case = tuple[bool, Callable[[str, str, str], CheckResult], str, str]
 """Whether it applies, the severity's function, the condition and its remedy."""
 
 
-def graded(about: str, what: str, *cases: Case) -> Finding:
+def result_of(about: str, what: str, *cases: Case) -> CheckResult:
     """Return one text, graded by the first of the ``cases`` that applies; ok when none does."""
     for applies, severity, condition, remedy in cases:
         if applies:
@@ -67,15 +67,15 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
     return ok(about, what)
 
 
-Found = Finding | Iterator[Finding] | None
+CheckResults = CheckResult | Iterator[CheckResult] | None
 
 
-def about(subject: str, *checks: Found) -> Iterator[Finding]:
+def about(subject: str, *checks: CheckResults) -> Iterator[CheckResult]:
     """Yield what checks of a subject found, each under its name unless it has one; what a check cannot read or open is
     an error, by the check's name: "footage.unusable" of ``check_footage``."""
     for found in checks:
         try:
-            for finding in [found] if isinstance(found, Finding) else found or ():
+            for finding in [found] if isinstance(found, CheckResult) else found or ():
                 yield finding if finding.subject else replace(finding, subject=subject)
         except InputError as problem:
             code = f"{getattr(found, '__name__', '').partition('_')[2]}.unusable"
@@ -83,12 +83,12 @@ def about(subject: str, *checks: Found) -> Iterator[Finding]:
             yield replace(error(code, what, problem.remedy), subject=subject)
 
 
-def exit_status(findings: Sequence[Finding]) -> int:
+def exit_status(findings: Sequence[CheckResult]) -> int:
     """0 fine (or notes only), 1 warnings, 2 errors."""
     return max((max(finding.severity - Severity.NOTE, 0) for finding in findings), default=0)
 
 
-def summary(findings: Sequence[Finding]) -> str:
+def summary(findings: Sequence[CheckResult]) -> str:
     """Return one line: how many of each, and the first of the gravest ones."""
     counts = Counter(finding.severity for finding in findings)
     if not counts[Severity.ERROR] + counts[Severity.WARNING]:
@@ -103,7 +103,7 @@ NAMES = {**{severity: severity.name.lower() for severity in Severity}, Severity.
 ABOUT_WIDTH = 14
 
 
-def show(findings: Sequence[Finding], console: Console) -> None:
+def show(findings: Sequence[CheckResult], console: Console) -> None:
     """Print the findings by subject, and the summary; passed checks share one line."""
     subjects = dict.fromkeys(finding.subject for finding in findings)
     for subject in sorted(subjects, key=lambda subject: subject.startswith("camera ")):  # cameras last

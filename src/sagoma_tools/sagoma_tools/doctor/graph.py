@@ -17,7 +17,7 @@ from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from sagoma_ros.middleware import RANGE_VARIABLE
 
-from .findings import Finding, Found, about, error, graded, note, ok, warning
+from .findings import CheckResult, CheckResults, about, error, note, ok, result_of, warning
 from .graph_listener import ACTIVE, FLOODED, HULL, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 from .hosts import RosSettings
 from .machine import domains_here
@@ -46,13 +46,13 @@ BIG_MESSAGES = (
 )
 
 
-def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
+def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[CheckResult]:
     """Examine the graph of this ROS domain and a namespace, against the rig file if given."""
     expected = () if rig_file is None else load_rig(rig_file).names
     yield from graph_findings(collect_graph(seconds, expected, namespace=namespace))
 
 
-def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
+def graph_findings(facts: GraphFacts) -> Iterator[CheckResult]:
     """Yield the findings on the facts."""
     yield from about(SUBJECT, check_nodes(facts), check_alike(facts), check_frame_sets(facts))
     for node in facts.nodes:
@@ -68,11 +68,11 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
             yield from about(subject, check_arrival(its, client), check_content(its, facts))
 
 
-def _of_node(node: NodeFacts, facts: GraphFacts) -> list[Found]:
+def _of_node(node: NodeFacts, facts: GraphFacts) -> list[CheckResults]:
     return [check_answers(node, facts), check_message(node, facts), check_clock(node, facts), check_background(node)]
 
 
-def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
+def check_nodes(facts: GraphFacts) -> Iterator[CheckResult]:
     """Which nodes are heard, and which of the server are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
@@ -97,7 +97,7 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
         yield warning("cameras.not_in_rig", text, "Calibrate them into the rig, or stop them.")
 
 
-def check_alike(facts: GraphFacts) -> Iterator[Finding]:
+def check_alike(facts: GraphFacts) -> Iterator[CheckResult]:
     """Whether the cameras are set alike: a frame set needs frames of one instant from all of them."""
     for key, severity, what in ALIKE:
         clients = {node.camera: node.value(key) for node in facts.nodes if node.camera and node.value(key)}
@@ -107,7 +107,7 @@ def check_alike(facts: GraphFacts) -> Iterator[Finding]:
             yield severity(f"settings.{key}_differs", f"the cameras have different {what} ({listed})", remedy)
 
 
-def check_frame_sets(facts: GraphFacts) -> Iterator[Finding]:
+def check_frame_sets(facts: GraphFacts) -> Iterator[CheckResult]:
     """Spread and latency of the frame sets, and whether they give a hull."""
     hull, sets = facts.node(HULL), facts.sets
     if hull is None or hull.state != ACTIVE:
@@ -119,14 +119,14 @@ def check_frame_sets(facts: GraphFacts) -> Iterator[Finding]:
     period_ms, spread, latency = 1e3 * _period_s(facts), _high(sets, "spread_ms"), _high(sets, "published_ms")
     text = f"stamps of a set differ by up to {spread:.1f} ms, of a frame period of {period_ms:.0f} ms"
     remedy = "aravis.sync: ptp, line or action instead of free_run; see docs/camera_pcs.md."
-    yield graded("sync", text, (spread > period_ms / 4, warning, "spread", remedy))
+    yield result_of("sync", text, (spread > period_ms / 4, warning, "spread", remedy))
     text = f"{facts.sets_hz:.1f} frame sets a second, {latency:.0f} ms from exposure to the hull"
     remedy = "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy."
-    yield graded("latency", text, (latency > max(LATE_PERIODS * period_ms, LATE_MS), warning, "late", remedy))
+    yield result_of("latency", text, (latency > max(LATE_PERIODS * period_ms, LATE_MS), warning, "late", remedy))
     bodies, seen = sum(each.get("points", "0") != "0" for each in sets), len(facts.seeing)
     text = f"in {bodies} of {len(sets)} frame sets; {seen} cameras see a person"
     remedy = "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live"
-    yield graded("centerline", text, (not bodies and seen >= ENOUGH_CAMERAS, error, "empty", remedy))
+    yield result_of("centerline", text, (not bodies and seen >= ENOUGH_CAMERAS, error, "empty", remedy))
 
 
 def _period_s(facts: GraphFacts) -> float:
@@ -139,7 +139,7 @@ def _high(sets: Sequence[Mapping[str, str]], key: str) -> float:
     return float(np.percentile(values, 95)) if values else float("nan")
 
 
-def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
+def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[CheckResult]:
     """Whether the node is the only one of its name, answers, reports and is active."""
     if node.copies > 1:
         remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
@@ -153,7 +153,7 @@ def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
         yield warning("state.inactive", f"it is {node.state}", "sagoma start (or sagoma up, where no process runs)")
 
 
-def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
+def check_message(node: NodeFacts, facts: GraphFacts) -> CheckResult | None:
     """The node's own warning or error, but for what is usual in an empty room."""
     if node.report is None:
         return None
@@ -166,10 +166,10 @@ def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
         return note("says.acquiring", message, "Somebody has to come, or stand in the T-pose: docs/tracking.md.")
     if level == 1 and facts.room_empty and any(words in message for words in EMPTY):
         return ok("says", f"{message} (the room is empty)")
-    return graded("says", message, (level > 1, error, "error", remedy), (level > 0, warning, "warning", remedy))
+    return result_of("says", message, (level > 1, error, "error", remedy), (level > 0, warning, "warning", remedy))
 
 
-def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
+def check_clock(node: NodeFacts, facts: GraphFacts) -> CheckResult | None:
     """The clock's offset from this machine's, to the milliseconds that a report takes to arrive."""
     if node.report is None or facts.simulated_time:
         return None
@@ -177,10 +177,10 @@ def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
     text = f"{1e3 * off_s:.1f} ms {'ahead of' if node.report.lead_s > 0 else 'behind'} this machine's"
     remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
     off, imprecise = (off_s > half_s, error, "off", remedy), (off_s > half_s / 2, warning, "imprecise", remedy)
-    return graded("clock", text, off, imprecise)
+    return result_of("clock", text, off, imprecise)
 
 
-def check_background(node: NodeFacts) -> Iterator[Finding]:
+def check_background(node: NodeFacts) -> Iterator[CheckResult]:
     """What a camera's client finds against its background, and the last training that failed."""
     for found in read_findings(node.value(FINDINGS_KEY)):
         yield OF_GRADE[found.grade](found.code, found.what, found.remedy)
@@ -194,7 +194,7 @@ def check_background(node: NodeFacts) -> Iterator[Finding]:
         yield warning("background.failed", f"the last training failed: {why}", remedy)
 
 
-def check_presence(camera: str, facts: GraphFacts) -> Iterator[Finding]:
+def check_presence(camera: str, facts: GraphFacts) -> Iterator[CheckResult]:
     """Whether a camera of the rig has its client, and how often the camera was missing from the frame sets."""
     if facts.nodes and camera in facts.expected and facts.client(camera) is None:
         remedy = "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
@@ -206,7 +206,7 @@ def check_presence(camera: str, facts: GraphFacts) -> Iterator[Finding]:
         yield warning("frame_sets.missing_camera", f"it is missing from {missing} of {sets}", remedy)
 
 
-def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[Finding]:
+def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[CheckResult]:
     """Whether its silhouettes arrive, and in time."""
     if not sent.masks:
         if client is not None and client.state == ACTIVE and client.message != UNCALIBRATED:  # else findings say so
@@ -225,7 +225,7 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[F
         yield warning("latency.old", f"its silhouettes are {sent.age_s:.1f} s old when they arrive", remedy)
 
 
-def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
+def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> CheckResult | None:
     """Whether the silhouettes are plausible."""
     if not sent.masks:
         return None
@@ -236,4 +236,4 @@ def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
         remedy = f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}"
         return warning("silhouettes.blank", f"blank, while {', '.join(others)} see a person", remedy)
     flooded = (sent.share >= FLOODED, error, "flooded", f"The light or the camera was changed. {learn}")
-    return graded("silhouettes", text, flooded)
+    return result_of("silhouettes", text, flooded)

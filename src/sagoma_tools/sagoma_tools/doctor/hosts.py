@@ -24,7 +24,7 @@ import psutil
 
 from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE, PROFILE_VARIABLE, RANGE_VARIABLE
 
-from .findings import Finding, about, error, graded, ok, warning
+from .findings import CheckResult, about, error, ok, result_of, warning
 from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, interface_to
 
 PORT = 7398  # below all ROS domains' ports
@@ -115,7 +115,7 @@ def _question(size: int, port: int = 0, kind: bytes = UNICAST) -> bytes:
     return (kind + port.to_bytes(2, "big")).ljust(size - HEADERS, b"\0")
 
 
-def hears_multicast(address: str, here: str, port_of_discovery: int, port: int = PORT) -> bool:
+def receives_multicast(address: str, here: str, port_of_discovery: int, port: int = PORT) -> bool:
     """Return whether multicast to a domain's discovery, sent by what answers at ``address``, arrives at ``here``."""
     with _socket() as ear, _socket() as link:
         ear.settimeout(PATIENCE_S)
@@ -180,22 +180,22 @@ class Peer:
         return next((node for node in self.nodes if node.domain == self.ours.domain), None)
 
 
-def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
+def examine_hosts(addresses: Sequence[str]) -> Iterator[CheckResult]:
     """Examine the network paths to these machines; sends packets to them alone."""
     for address in addresses:
         link = interface_to(address)
         answers = link is not None and reaches(address, SMALL_BYTES)
         yield from about(f"machine {address}", check_path(address, link, answers))
-        if answers and (peer := ask_peer(address)):
+        if answers and (peer := query_peer(address)):
             yield from examine_peer(f"machine {address}", peer)
 
 
-def examine_peer(subject: str, peer: Peer) -> Iterator[Finding]:
+def examine_peer(subject: str, peer: Peer) -> Iterator[CheckResult]:
     """Examine whether nodes there and here find each other."""
     yield from about(subject, check_domain(peer), check_discovery(peer), check_settings(peer))
 
 
-def ask_peer(address: str, port: int = PORT) -> Peer | None:
+def query_peer(address: str, port: int = PORT) -> Peer | None:
     """Return a machine's ROS settings beside ours, and whether its nodes are heard; None when nothing answers."""
     ours = RosSettings.of(os.environ)
     first = FIRST_PORT + DOMAIN_PORTS * ours.domain
@@ -208,11 +208,11 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
     peer = Peer(nodes, ours, "" if here is None else here.address, address)
     if peer.node is None:
         return peer
-    arrives = None if ours.reach in ALONE else hears_multicast(address, peer.here, first, port)
+    arrives = None if ours.reach in ALONE else receives_multicast(address, peer.here, first, port)
     return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
 
 
-def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[Finding]:
+def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[CheckResult]:
     """Whether a machine can be reached through an interface here (None: none), ``answers`` a small packet, and gets
     packets of the interface's MTU whole."""
     if link is None:
@@ -228,10 +228,10 @@ def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[
     text = f"of {link.name}'s packets of {link.mtu} bytes, {largest or f'less than {SIZES[-1]}'} bytes reach {address}"
     remedy = "Larger messages vanish. Give both machines and the switch between them one MTU: sudo ip link set "
     remedy += f"{link.name} mtu {largest or SIZES[-1]}, or raise the others'."
-    yield graded("mtu", text, (largest < wanted, error, "too_large", remedy))
+    yield result_of("mtu", text, (largest < wanted, error, "too_large", remedy))
 
 
-def check_domain(peer: Peer) -> Finding | None:
+def check_domain(peer: Peer) -> CheckResult | None:
     """Whether nodes run there, and in our domain."""
     domains = sorted({node.domain for node in peer.nodes})
     if not domains:
@@ -243,7 +243,7 @@ def check_domain(peer: Peer) -> Finding | None:
     return error("domain.differs", f"its nodes run in ROS_DOMAIN_ID {listed}, this doctor in {ours}", remedy)
 
 
-def check_discovery(peer: Peer) -> Finding | None:
+def check_discovery(peer: Peer) -> CheckResult | None:
     """Whether one machine asks the other, or multicast carries their announcements."""
     theirs, ours = peer.node, peer.ours
     if theirs is None:
@@ -266,7 +266,7 @@ def check_discovery(peer: Peer) -> Finding | None:
     return error("multicast.blocked", text, f"{why}{name}. {DOCS}") if blocked else ok("discovery", "by multicast")
 
 
-def check_settings(peer: Peer) -> Iterator[Finding]:
+def check_settings(peer: Peer) -> Iterator[CheckResult]:
     """Firewall, Fast DDS profile and middleware there."""
     node, ours = peer.node, peer.ours
     if node is None:

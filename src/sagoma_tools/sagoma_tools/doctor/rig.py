@@ -21,7 +21,7 @@ from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
 from .cameras import BUSY, GIGABIT, JUMBO_MTU, wire_bytes
-from .findings import Finding, about, error, graded, note, warning
+from .findings import CheckResult, about, error, note, result_of, warning
 
 Array = npt.NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class RigView:
         return cls(rig, path, sees, np.array([*(low + high)[:2] / 2, BREAST_M]))
 
 
-def examine_rig(path: Path) -> Iterator[Finding]:
+def examine_rig(path: Path) -> Iterator[CheckResult]:
     """Examine the rig file at ``path``."""
     view = RigView.of(load_rig(path), path)
     yield from about(SUBJECT, check_rig_report(view), check_coverage(view), check_regions(view), check_pairs(view))
@@ -68,7 +68,7 @@ def examine_rig(path: Path) -> Iterator[Finding]:
         yield from about(f"camera {camera.name}", check_lens(camera), check_place(view, camera))
 
 
-def check_rig_report(view: RigView) -> Iterator[Finding]:
+def check_rig_report(view: RigView) -> Iterator[CheckResult]:
     """The verdict, the findings and the age of the report that the calibration left beside the rig file."""
     path = view.path.with_name(view.path.stem + SUFFIX)
     if not path.is_file():
@@ -81,33 +81,33 @@ def check_rig_report(view: RigView) -> Iterator[Finding]:
     remedy = f"{CALIBRATE}, after what the report says"
     later = (grade == USABLE, warning, "usable", f"{remedy}, when there is time")
     none = (grade != GOOD, note, "no_verdict", CALIBRATE)
-    yield graded("calibration", text, (grade == REDO, error, "redo", remedy), later, none)
+    yield result_of("calibration", text, (grade == REDO, error, "redo", remedy), later, none)
     age_s = time.time() - path.stat().st_mtime
     remedy = f"Stands and lenses creep: {CALIBRATE}."
-    yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
+    yield result_of("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
 
 
-def check_coverage(view: RigView) -> Iterator[Finding]:
+def check_coverage(view: RigView) -> Iterator[CheckResult]:
     """Whether the cameras are enough to carve a body, and how much of the volume enough of them see."""
     number = len(view.rig.cameras)
     few = "Use four cameras or more; three at the least: two cannot carve a body."
     three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
     cases = (number < MIN_CAMERAS, error, "too_few", few), (number == MIN_CAMERAS, note, "three", three)
-    yield graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
+    yield result_of("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
     enough = min(MIN_CAMERAS, number)
     share = float((view.sees.sum(axis=0) >= enough).mean())
     text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
     remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
     poor, little = (share < POOR_SHARE, error, "unseen", remedy), (share < LITTLE_SHARE, note, "little_seen", remedy)
-    yield graded("volume", text, poor, little)
+    yield result_of("volume", text, poor, little)
 
 
-def check_regions(view: RigView) -> Finding:
+def check_regions(view: RigView) -> CheckResult:
     """What of the pictures the volume needs, and how fast one link carries that."""
     whole, parts = view.rig, needed_parts(view.rig)
     smaller = any((a.width, a.height) != (b.width, b.height) for a, b in zip(whole.cameras, parts.cameras, strict=True))
     remedy = "Where the rate matters: those aravis settings, the rig file of --regions, and backgrounds anew."
-    return graded("regions", carried(whole), (smaller, note, "smaller", remedy))
+    return result_of("regions", carried(whole), (smaller, note, "smaller", remedy))
 
 
 def needed_parts(rig: Rig) -> Rig:
@@ -132,7 +132,7 @@ def most_hz(rig: Rig) -> float:
     return BUSY * GIGABIT * 1e6 / 8 / frame_bytes
 
 
-def check_pairs(view: RigView) -> Iterator[Finding]:
+def check_pairs(view: RigView) -> Iterator[CheckResult]:
     """Pairs of cameras that show one outline."""
     for one, other in itertools.combinations(view.rig.cameras, 2):
         pair, apart_m = f"{one.name} and {other.name}", float(np.linalg.norm(one.centre_world - other.centre_world))
@@ -149,14 +149,14 @@ def check_pairs(view: RigView) -> Iterator[Finding]:
             yield warning("cameras.parallel", text, "Spread the cameras around the volume.")
 
 
-def check_lens(camera: CameraModel) -> Iterator[Finding]:
+def check_lens(camera: CameraModel) -> Iterator[CheckResult]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
     off = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height)
     across = 2 * np.degrees(np.arctan(width / (2 * fx)))
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
-    yield graded(
+    yield result_of(
         "lens",
         f"f {fx:.0f} x {fy:.0f} px, as a pinhole {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
         (off > CENTRE_PRIOR, warning, "off_centre", again),
@@ -171,20 +171,20 @@ def check_lens(camera: CameraModel) -> Iterator[Finding]:
         yield (warning if much else note)("lens.unused", unused_text(camera), remedy)
 
 
-def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
+def check_place(view: RigView, camera: CameraModel) -> Iterator[CheckResult]:
     """Where the camera stands, and what it sees of the volume."""
     height, distance = float(camera.centre_world[2]), float(np.linalg.norm(camera.centre_world - view.middle))
     share = float(view.sees[view.rig.names.index(camera.name)].mean())
     mm_per_px = 1e3 * pixel_width_m(camera, view.rig.volume)
     again = f"{CALIBRATE}; the board upside down or a wrong field size does this. Check with a tape."
-    yield graded(
+    yield result_of(
         "place",
         f"it is {height:.2f} m above the floor" if height >= 0 else f"it lies {-height:.2f} m below the floor",
         (height < 0, error, "below_floor", again),
         (height > HIGH_M, warning, "high", again),
         (height < LOW_M, note, "low", "Raise it to 1.2 to 2.5 m: feet and limbs hide each other."),
     )
-    yield graded(
+    yield result_of(
         "view",
         f"{distance:.1f} m from the volume's centre, {mm_per_px:.1f} mm a pixel, sees a person from soles to head in "
         f"{100 * share:.0f} % of the places",

@@ -20,7 +20,7 @@ from . import ANSWER_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
 from .ros_link import call_all, is_camera, node_names, settled
 
 
-class State(StrEnum):
+class LifecycleState(StrEnum):
     """The states in which a healthy node can rest, from stopped to running."""
 
     UNCONFIGURED = "unconfigured"
@@ -28,12 +28,12 @@ class State(StrEnum):
     ACTIVE = "active"
 
 
-STATES = tuple(State)
+STATES = tuple(LifecycleState)
 TRANSITIONS = {
-    (State.UNCONFIGURED, State.INACTIVE): ("configure", Transition.TRANSITION_CONFIGURE),
-    (State.INACTIVE, State.ACTIVE): ("activate", Transition.TRANSITION_ACTIVATE),
-    (State.ACTIVE, State.INACTIVE): ("deactivate", Transition.TRANSITION_DEACTIVATE),
-    (State.INACTIVE, State.UNCONFIGURED): ("cleanup", Transition.TRANSITION_CLEANUP),
+    (LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE): ("configure", Transition.TRANSITION_CONFIGURE),
+    (LifecycleState.INACTIVE, LifecycleState.ACTIVE): ("activate", Transition.TRANSITION_ACTIVATE),
+    (LifecycleState.ACTIVE, LifecycleState.INACTIVE): ("deactivate", Transition.TRANSITION_DEACTIVATE),
+    (LifecycleState.INACTIVE, LifecycleState.UNCONFIGURED): ("cleanup", Transition.TRANSITION_CLEANUP),
 }
 """(From, to) -> name and number of the transition."""
 
@@ -43,7 +43,7 @@ class Outcome:
     """What came of a command, by full node name: the state that each node acknowledged last, and why one did not go on
     ("/hull_server: configure refused")."""
 
-    reached: dict[str, State] = field(default_factory=dict)
+    reached: dict[str, LifecycleState] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
 
     def fail(self, node: str, asked: str, said: str | None) -> None:
@@ -51,7 +51,7 @@ class Outcome:
         self.failures[node] = f"{node}: {asked} {said or 'did not answer'}"
 
 
-def next_on_the_way(state: State, goal: State) -> State:
+def next_on_the_way(state: LifecycleState, goal: LifecycleState) -> LifecycleState:
     """Return the state that lies next on the way to another one."""
     here, there = STATES.index(state), STATES.index(goal)
     return STATES[here + (1 if there > here else -1)]
@@ -73,7 +73,7 @@ class LifecycleClient:
         return {name: reply and reply.current_state.label for name, reply in replies.items()}
 
     def bring(
-        self, nodes: Collection[str], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
+        self, nodes: Collection[str], goal: LifecycleState, timeout_s: float | None = None, contact_s: float = ANSWER_S
     ) -> Outcome:
         """Bring every node (full names) to ``goal`` from its present state: cameras last on the way up, or first on the
         way down, and each kind in step.
@@ -83,10 +83,10 @@ class LifecycleClient:
         node may take to report its state, long for a process that has just started. A node that refuses or stays silent
         keeps its state; the others go on.
         """
-        outcome, states = Outcome(), dict[str, State]()
+        outcome, states = Outcome(), dict[str, LifecycleState]()
         for name, label in self.states(nodes, contact_s).items():
             if label in STATES:
-                states[name] = State(label)
+                states[name] = LifecycleState(label)
             else:  # finalized, or in transition
                 outcome.fail(name, "get_state", label and f"tells of {label}, from where no way leads on")
         down = any(STATES.index(state) > STATES.index(goal) for state in states.values())
@@ -98,8 +98,8 @@ class LifecycleClient:
         return outcome
 
     def _change(
-        self, ways: Mapping[str, tuple[State, State]], timeout_s: float | None, outcome: Outcome
-    ) -> dict[str, State]:
+        self, ways: Mapping[str, tuple[LifecycleState, LifecycleState]], timeout_s: float | None, outcome: Outcome
+    ) -> dict[str, LifecycleState]:
         """Ask each node for the transition between its two states; returns those that acknowledged and their states."""
         requests = {name: ChangeState.Request() for name in ways}
         for name, way in ways.items():

@@ -23,7 +23,7 @@ from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, Role
 
 from . import ANSWER_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import LifecycleClient, Outcome, State, living_nodes
+from .lifecycle_client import LifecycleClient, LifecycleState, Outcome, living_nodes
 from .processes import Child, ExitStatus, ProcessGroup, busy_machine
 from .ros_link import RosLink
 
@@ -122,7 +122,7 @@ class Supervisor:
         with self._lock:
             self._halted.set()
         self.stop_outcome = self.suspend()
-        cleaned = self._bring(State.INACTIVE, State.UNCONFIGURED, timeout_s=ANSWER_S)
+        cleaned = self._bring(LifecycleState.INACTIVE, LifecycleState.UNCONFIGURED, timeout_s=ANSWER_S)
         self.stop_outcome.failures |= cleaned.failures
         self.exit_statuses = self.processes.stop()
         self._link.close()
@@ -131,14 +131,14 @@ class Supervisor:
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Connect every node. GraphError when one of the server's fails, or every camera (any, if not tolerated)."""
-        outcome = self._bring(State.UNCONFIGURED, State.INACTIVE, contact_s=START_TIMEOUT_S)
-        self._check(State.INACTIVE, outcome, tolerate_cameras)
+        outcome = self._bring(LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, contact_s=START_TIMEOUT_S)
+        self._check(LifecycleState.INACTIVE, outcome, tolerate_cameras)
         return outcome
 
     def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Start every configured node, the cameras last; GraphError as for :meth:`configure`."""
-        outcome = self._bring(State.INACTIVE, State.ACTIVE)
-        self._check(State.ACTIVE, outcome, tolerate_cameras)
+        outcome = self._bring(LifecycleState.INACTIVE, LifecycleState.ACTIVE)
+        self._check(LifecycleState.ACTIVE, outcome, tolerate_cameras)
         with self._lock:
             self._running = True
         for process in self.processes.specs:
@@ -150,12 +150,12 @@ class Supervisor:
     def suspend(self) -> Outcome:
         """Deactivate every active node, the cameras first; what dies from now on stays dead."""
         self._running = False
-        return self._bring(State.ACTIVE, State.INACTIVE, timeout_s=ANSWER_S)
+        return self._bring(LifecycleState.ACTIVE, LifecycleState.INACTIVE, timeout_s=ANSWER_S)
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
         with self._lock:
-            known = {name: self._states.get(name, State.UNCONFIGURED) for name in self.processes.pids()}
+            known = {name: self._states.get(name, LifecycleState.UNCONFIGURED) for name in self.processes.pids()}
             return {
                 name: state if state == RESTARTING or self.processes.alive(name) else DEAD
                 for name, state in known.items()
@@ -184,25 +184,25 @@ class Supervisor:
             if self._halted.is_set() or self.processes.child_of(names[0]) is not child:  # or it has been started again
                 return
             again = self.processes.start(restarted(process))
-            self._states |= dict.fromkeys(names, State.UNCONFIGURED)
+            self._states |= dict.fromkeys(names, LifecycleState.UNCONFIGURED)
         while again.alive and not self._halted.wait(ROUND_S):
-            if set(self.lifecycle.states(names, ROUND_S).values()) == {State.ACTIVE}:
+            if set(self.lifecycle.states(names, ROUND_S).values()) == {LifecycleState.ACTIVE}:
                 with self._lock:
-                    self._states |= dict.fromkeys(names, State.ACTIVE)
+                    self._states |= dict.fromkeys(names, LifecycleState.ACTIVE)
                 text = f"{process} active again after {time.monotonic() - exited_s:.1f} s (pid {again.pid})"
                 self._on_event(ProcessEvent(process, again.pid, text, True))
                 return
 
     # lifecycle --------------------------------------------------------------------------------------------------------
 
-    def _bring(self, state: State, goal: State, **options: Any) -> Outcome:
+    def _bring(self, state: LifecycleState, goal: LifecycleState, **options: Any) -> Outcome:
         """Bring the nodes that are in ``state`` to ``goal``; options as of `LifecycleClient.bring`."""
         outcome = self.lifecycle.bring([name for name, now in self.states().items() if now == state], goal, **options)
         with self._lock:
             self._states |= outcome.reached
         return outcome
 
-    def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
+    def _check(self, goal: LifecycleState, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
         failed = [spec for spec in self.graph if states[spec.full_name] != goal]
         cameras = sum(spec.role is Role.CAMERA for spec in self.graph)

@@ -26,7 +26,7 @@ SQUARE_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class SegmentFrames:
     """Origin (F, 3) mm and rotation R_world_segment (F, 3, 3) of a segment; ``known`` (F,) says where both are."""
 
     origin_mm: np.ndarray
@@ -39,7 +39,7 @@ class Segment:
         return self.origin_mm + np.einsum("fij,fj->fi", self.R_world_segment, local)
 
 
-def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
+def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> SegmentFrames:
     """Return the frame of segment ``name``; its origin is the point labelled ``origin`` where that is given."""
     tracks = [mocap.track_mm(name + letter) for letter in "OALP"]
     centre = mocap.track_mm(origin) if origin else tracks[0]
@@ -48,7 +48,7 @@ def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
     start = Rotation.from_matrix(R_lower)
     turn = (start.inv() * Rotation.from_matrix(R_upper)).as_rotvec()
     R = (start * Rotation.from_rotvec(at.fraction[:, None] * turn)).as_matrix()
-    return Segment(between(centre, at), R, seen & square_lower & square_upper)
+    return SegmentFrames(between(centre, at), R, seen & square_lower & square_upper)
 
 
 def mean_distance_mm(a_mm: np.ndarray, b_mm: np.ndarray, at: Instants) -> np.ndarray:
@@ -113,7 +113,7 @@ def joints(
     return points, np.all([at.inside, seen, *(s.known for s in used)], axis=0)
 
 
-def _trunk(mocap: Mocap, at: Instants, chest_radius_mm: float) -> tuple[dict[str, np.ndarray], list[Segment]]:
+def _trunk(mocap: Mocap, at: Instants, chest_radius_mm: float) -> tuple[dict[str, np.ndarray], list[SegmentFrames]]:
     pelvis, head = segment(mocap, at, "PEL"), segment(mocap, at, "HED", origin="TRXO")
     thorax_mm = between(mocap.track_mm("TRXO"), at)
     torso_mm = mean_distance_mm(mocap.track_mm("TRXO"), mocap.track_mm("PELO"), at)
@@ -128,7 +128,7 @@ def _trunk(mocap: Mocap, at: Instants, chest_radius_mm: float) -> tuple[dict[str
     return points, [pelvis, head]
 
 
-def _leg(mocap: Mocap, at: Instants, side: str) -> tuple[dict[str, np.ndarray], list[Segment]]:
+def _leg(mocap: Mocap, at: Instants, side: str) -> tuple[dict[str, np.ndarray], list[SegmentFrames]]:
     hip, knee, ankle = (mocap.track_mm(side + label) for label in ("FEP", "FEO", "TIO"))
     thigh = segment(mocap, at, f"{side}FE", origin=f"{side}FEP")
     calf = segment(mocap, at, f"{side}TI", origin=f"{side}FEO")
@@ -143,7 +143,7 @@ def _leg(mocap: Mocap, at: Instants, side: str) -> tuple[dict[str, np.ndarray], 
 
 def _arm(
     mocap: Mocap, at: Instants, side: str, shoulder_offset_mm: float
-) -> tuple[dict[str, np.ndarray], list[Segment]]:
+) -> tuple[dict[str, np.ndarray], list[SegmentFrames]]:
     shoulder, elbow, wrist = (mocap.track_mm(side + label) for label in ("CLO", "HUO", "RAO"))
     upper = segment(mocap, at, f"{side}HU", origin=f"{side}CLO")
     fore = segment(mocap, at, f"{side}RA", origin=f"{side}HUO")

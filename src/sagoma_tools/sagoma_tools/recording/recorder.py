@@ -94,7 +94,7 @@ class Recorder:
             raw=True,
         )
 
-    def follow(self) -> None:
+    def add_new_sources(self) -> None:
         """Look every NEWCOMERS_S for cameras that publish silhouettes, and for persons, and record them too."""
 
         def add_all() -> None:

@@ -125,7 +125,7 @@ def write_video(take: Take, path: Path, progress: Callable[[int, int], None] = l
 
 
 @dataclass
-class View:
+class Masks:
     """One camera's silhouettes, and the camera of their undistorted canvas."""
 
     camera: CameraModel
@@ -151,7 +151,7 @@ class View:
 
 
 def sheets(
-    name: str, views: Sequence[View], motions: Mapping[str, Motion], quality: Quality, rate_hz: float, frames: int
+    name: str, views: Sequence[Masks], motions: Mapping[str, Motion], quality: Quality, rate_hz: float, frames: int
 ) -> Iterator[np.ndarray]:
     """Yield the video's pictures, BGR, all of one even size."""
     columns, scale = tiling([view.camera.width for view in views], [view.camera.height for view in views])
@@ -172,7 +172,7 @@ def sheets(
         yield captioned(sheet, f"{name}   {seconds:6.2f} s   {said}", sure)
 
 
-def _cell(view: View, picture: np.ndarray | None, there: Mapping[str, tuple[Motion, int]], scale: float) -> np.ndarray:
+def _cell(view: Masks, picture: np.ndarray | None, there: Mapping[str, tuple[Motion, int]], scale: float) -> np.ndarray:
     camera = view.camera
     window = Window.whole(camera, scale)
     width, height = window.size_px
@@ -186,7 +186,7 @@ def _cell(view: View, picture: np.ndarray | None, there: Mapping[str, tuple[Moti
     return write_name(cell, camera.name)
 
 
-def _views(take: Take) -> list[View]:
+def _views(take: Take) -> list[Masks]:
     if (rig_file := rig_in(take.path)) is None:
         remedy = "Record with --rig, or copy the rig file there."
         what = f"has no {SIDECAR_RIG}: where the cameras stood is not known"
@@ -198,5 +198,5 @@ def _views(take: Take) -> list[View]:
     rig, views = load_rig(rig_file), []
     for name in cameras:
         messages = read_messages(take.path, f"/{name}{SILHOUETTE_SUFFIX}".__eq__)
-        views.append(View(rig.camera(name).undistorted_view().camera, messages))
+        views.append(Masks(rig.camera(name).undistorted_view().camera, messages))
     return views

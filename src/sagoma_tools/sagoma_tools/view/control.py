@@ -18,7 +18,7 @@ from capture_rig.verdict import REDO
 from ..graph import ANSWER_S
 from ..graph.background_training import SERVICE, SERVICE_TYPE, progress_of, train_backgrounds
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.lifecycle_client import LifecycleClient, State
+from ..graph.lifecycle_client import LifecycleClient, LifecycleState
 from ..graph.ros_link import RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
@@ -112,7 +112,7 @@ class Control:
 
     # what can be asked for --------------------------------------------------------------------------------------------
 
-    def bring(self, goal: State) -> str:
+    def bring(self, goal: LifecycleState) -> str:
         """Bring every node to a lifecycle state."""
         names = sorted(our_nodes(self._link.node))
         if not names:
@@ -159,7 +159,7 @@ class Control:
             [*OUTPUT_TOPICS, DIAGNOSTICS],
             on_failure=lambda error: self._jobs.report(f"{error} The capture goes on."),
         )
-        self._recorder.follow()
+        self._recorder.add_new_sources()
         return RECORDING.format(folder.name)
 
     def stop_recording(self) -> str:

@@ -22,12 +22,12 @@ from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph import ROUND_S
 from ..graph.diagnostics_table import LATENCY, STALE_S, DiagnosticsTable, NodeReport
-from ..graph.lifecycle_client import State
+from ..graph.lifecycle_client import LifecycleState
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
 from ..takes.folder import TakesFolder
 from .control import Control, Deliver, Jobs, Work, add_buttons
-from .scene import Figure
+from .scene import PersonPose
 
 VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
 PREVIEW = "/preview/compressed"
@@ -43,7 +43,7 @@ class LiveGraph:
         self._feed = Feed(link.node)
         self._looked_s, self._wanted = -ROUND_S, (False, False)
         self._bodies: dict[str, str] = {}
-        self._figures: dict[str, tuple[float, Figure]] = {}
+        self._figures: dict[str, tuple[float, PersonPose]] = {}
         self._states: dict[str, str] = {}
         self._cameras: dict[str, str] = {}
         self._pictures: dict[str, viser.GuiImageHandle] = {}
@@ -76,7 +76,7 @@ class LiveGraph:
         wanted += [(topic, PICTURE_TYPE) for topic in self._cameras.values()] if pictures else []
         self._feed.watch(wanted)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> dict[str, PersonPose]:
         """Return everybody of whom something has come within a round, by id."""
         now_s = time.monotonic()
         for body_id, prefix in self._bodies.items():
@@ -85,7 +85,7 @@ class LiveGraph:
             if (cloud := self._feed.pop_newest(f"{prefix}/reference_points")) is not None:
                 points = read_reference_points(cloud, f"{prefix}/reference_points")
                 sigma_m = point_deviations(points.covariance)
-                self._figures[body_id] = now_s, Figure(points.points_world, sigma_m, self._states.get(body_id, ""))
+                self._figures[body_id] = now_s, PersonPose(points.points_world, sigma_m, self._states.get(body_id, ""))
         return {body_id: figure for body_id, (seen_s, figure) in self._figures.items() if now_s - seen_s < ROUND_S}
 
     def new_voxels(self) -> np.ndarray | None:
@@ -177,7 +177,7 @@ class GraphPanel:
             self._pictures = gui.add_checkbox("pictures", False, hint=hint)
             self._picture_folder = gui.add_folder(None)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> dict[str, PersonPose]:
         """Return everybody, and subscribe to what is wanted."""
         self.live.watch(voxels=self.voxels.value, pictures=self._pictures.value)
         return self.live.figures()
@@ -207,10 +207,10 @@ def _add_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     }
     add_buttons(gui, "recording", recording)
     nodes = {
-        "connect": job("connecting", lambda: control.bring(State.INACTIVE)),
-        "start": job("starting", lambda: control.bring(State.ACTIVE)),
-        "suspend": job("suspending", lambda: control.bring(State.INACTIVE)),
-        "stop": job("stopping", lambda: control.bring(State.UNCONFIGURED)),
+        "connect": job("connecting", lambda: control.bring(LifecycleState.INACTIVE)),
+        "start": job("starting", lambda: control.bring(LifecycleState.ACTIVE)),
+        "suspend": job("suspending", lambda: control.bring(LifecycleState.INACTIVE)),
+        "stop": job("stopping", lambda: control.bring(LifecycleState.UNCONFIGURED)),
     }
     add_buttons(gui, "nodes", nodes)
     add_buttons(gui, "persons", {"reset": job("resetting", control.reset)}, hint="forget everybody, and look anew")

@@ -14,9 +14,9 @@ from ..graph.ros_link import RosLink
 from ..takes.folder import TakesFolder, describe
 from .control import RECORDING, Jobs
 from .graph_panel import GraphPanel
-from .scene import RoomScene
+from .scene import ViewerScene
 from .server import Guard, guarded_server
-from .takes_panel import PLAY, Playback, TakesPanel
+from .takes_panel import PLAY, TakePlayback, TakesPanel
 
 EVERY_S = 0.25
 """How often tables, the cameras' pictures and the list of takes are drawn anew."""
@@ -36,9 +36,9 @@ class Page:
         gui.main_panel.dock_right()  # the scene beside it, not under it
         gui.set_panel_label("sagoma")
         self._takes, self._jobs = takes, Jobs()
-        self._scene, self._rig = RoomScene(self.server), rig
+        self._scene, self._rig = ViewerScene(self.server), rig
         self._scene.show_rig(rig)
-        self._playback: Playback | None = None
+        self._playback: TakePlayback | None = None
         self._ended = threading.Event()
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
@@ -57,7 +57,7 @@ class Page:
         """Play a take of the folder, or say why it cannot be."""
 
         def work() -> str:
-            self._show(Playback.of(self._takes.find(name)))
+            self._show(TakePlayback.of(self._takes.find(name)))
             return f"playing {name}"
 
         self._jobs.request(f"reading {name}", work)
@@ -67,7 +67,7 @@ class Page:
         take = describe(path)
         if take.problem:
             raise InputError(take.problem)
-        playback = Playback.of(take)
+        playback = TakePlayback.of(take)
         playback.playing = False
         self._show(playback)
         self._jobs.report(f"{take.name}: its first pose, at {playback.position_s:.2f} s; '{PLAY}' plays it")
@@ -88,7 +88,7 @@ class Page:
         if self._graph is not None:
             self._graph.close()
 
-    def _show(self, playback: Playback) -> None:
+    def _show(self, playback: TakePlayback) -> None:
         self._scene.show_rig(playback.rig)
         self._take_panel.show_playback(playback)
         self._playback = playback

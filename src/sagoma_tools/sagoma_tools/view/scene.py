@@ -34,7 +34,7 @@ PERSON_M = 1.2
 """Radius about a person's middle that is shown: of somebody tall with stretched arms."""
 
 
-class RoomScene:
+class ViewerScene:
     """Draws into a server's scene; everything is sent once and then moved.
 
     Views show the rig's volume and cameras or, once somebody is tracked, the persons, and are the browsers' own then.
@@ -57,7 +57,7 @@ class RoomScene:
     def show_rig(self, rig: Rig | None) -> None:
         """Draw every camera as its view's pyramid, with its name; without a rig none."""
         shown = [*ROOM] if rig is None else [rig.volume.low, rig.volume.high, *(c.centre_world for c in rig.cameras)]
-        self._look_at(np.array(shown))
+        self._point_views_at(np.array(shown))
         self._on_people = False
         while self._cameras:
             self._cameras.pop().remove()
@@ -77,12 +77,12 @@ class RoomScene:
             label = self._scene.add_label(name, camera.name, anchor="bottom-center", position=place)
             self._cameras += [frustum, label]
 
-    def show(self, figures: Mapping[str, Figure]) -> None:
+    def show(self, figures: Mapping[str, PersonPose]) -> None:
         """Draw these persons, by id, and nobody else."""
         tracked = [figure.points_world for figure in figures.values() if figure.state != "lost"]
         if tracked and not self._on_people:
             self._on_people = True
-            self._look_at(np.concatenate(tracked), PERSON_M)
+            self._point_views_at(np.concatenate(tracked), PERSON_M)
         for body_id in [body_id for body_id in self._people if body_id not in figures]:
             self._people.pop(body_id).remove()
         for body_id, figure in figures.items():
@@ -96,7 +96,7 @@ class RoomScene:
         points = np.empty((0, 3)) if points_world is None else points_world
         self._voxels.points = points.astype(np.float32)
 
-    def _look_at(self, points_world: Array, radius_m: float = 0.0) -> None:
+    def _point_views_at(self, points_world: Array, radius_m: float = 0.0) -> None:
         """Show the ball about these points (n, 3), of this radius at least, in all views and in those to come."""
         middle = 0.5 * (points_world.min(0) + points_world.max(0))
         radius_m = max(radius_m, np.linalg.norm(points_world - middle, axis=1).max())
@@ -127,7 +127,7 @@ JOINT_M, HEAD_M, BONE_M = 0.038, 0.085, 0.04
 
 
 @dataclass(frozen=True, eq=False)
-class Figure:
+class PersonPose:
     """One person at one instant: points_world (15, 3) m, sigma_m (15,) standard deviations, the tracker's state."""
 
     points_world: Array
@@ -138,7 +138,7 @@ class Figure:
 class DrawnPerson:
     """One person in a viser scene, sent once and then moved; viser sends what has changed."""
 
-    def __init__(self, scene: viser.SceneApi, body_id: str, figure: Figure) -> None:
+    def __init__(self, scene: viser.SceneApi, body_id: str, figure: PersonPose) -> None:
         points, colours = figure.points_world.astype(np.float32), confidence_colours(figure)
 
         def balls(name: str, which: slice, radius_m: float) -> viser.PointCloudHandle:
@@ -151,7 +151,7 @@ class DrawnPerson:
         self._label = scene.add_label(f"/names/{body_id}", body_id, anchor="bottom-center")
         self.move(figure)
 
-    def move(self, figure: Figure) -> None:
+    def move(self, figure: PersonPose) -> None:
         """Draw the person there."""
         points, colours = figure.points_world.astype(np.float32), confidence_colours(figure)
         self._joints.points, self._joints.colors = points, colours
@@ -165,7 +165,7 @@ class DrawnPerson:
             node.remove()
 
 
-def confidence_colours(figure: Figure) -> Array:
+def confidence_colours(figure: PersonPose) -> Array:
     """(15, 3) uint8: green for sure points, amber, red for unsure ones; all red when the person is lost."""
     doubt = np.clip((figure.sigma_m - SURE_M) / (UNSURE_M - SURE_M), 0.0, 1.0)
     if figure.state == "lost":

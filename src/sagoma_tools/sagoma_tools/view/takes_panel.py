@@ -26,7 +26,7 @@ from ..takes.exporting import FORMATS
 from ..takes.folder import TakesFolder, trim
 from ..takes.take import FIGURES, Take, date, figures, remark, summary_lines
 from .control import ALL_FORMATS, Deliver, Jobs, add_buttons, draw_video, export_files
-from .scene import Figure
+from .scene import PersonPose
 
 Array = np.ndarray
 
@@ -40,7 +40,7 @@ PLOT_POINTS = 1000
 
 
 @dataclass
-class Playback:
+class TakePlayback:
     """Plays in real time, again and again, from the first pose on; second 0 is the take's first frame set.
 
     begins_ns : stamp of second 0. seconds : how long the take is. first_pose_s : when somebody is tracked first.
@@ -58,7 +58,7 @@ class Playback:
     _moved_s: float = -math.inf
 
     @classmethod
-    def of(cls, take: Take) -> Playback:
+    def of(cls, take: Take) -> TakePlayback:
         """Read a take. Raises InputError when it cannot be read or holds nobody."""
         rig = None
         with suppress(InputError):  # the motion can be seen without the cameras
@@ -78,7 +78,7 @@ class Playback:
         """Go on from there."""
         self.position_s = min(max(seconds, 0.0), self.seconds)
 
-    def figures_at(self, now_s: float) -> dict[str, Figure]:
+    def figures_at(self, now_s: float) -> dict[str, PersonPose]:
         """Move on to this moment, unless paused, or nobody has looked for a while; return everybody who is there."""
         if self.playing and now_s - self._moved_s < ROUND_S:
             self.position_s += now_s - self._moved_s
@@ -89,7 +89,7 @@ class Playback:
         for body_id, motion in self.motions.items():
             if (k := last_frame(motion, stamp_ns)) is not None:
                 sigma_m = point_deviations(motion.covariance[k])
-                there[body_id] = Figure(motion.points_world[k], sigma_m, str(motion.states[k]))
+                there[body_id] = PersonPose(motion.points_world[k], sigma_m, str(motion.states[k]))
         return there
 
     def plots(self, body_id: str) -> Iterator[tuple[str, Array, Array]]:
@@ -138,7 +138,7 @@ class TakesPanel:
         leave: Callable[[], None] | None,
     ) -> None:
         self._gui, self._jobs, self._folder, self._takes = gui, jobs, takes, dict[str, Take]()
-        self._playback: Playback | None = None
+        self._playback: TakePlayback | None = None
         player: dict[str, Callable[[Deliver], object]] = {
             PLAY: lambda send: self._play(play),
             "pause": lambda send: self._pause(),
@@ -210,7 +210,7 @@ class TakesPanel:
         if known != self._takes:
             self._show_about()
 
-    def show_playback(self, playback: Playback | None) -> None:
+    def show_playback(self, playback: TakePlayback | None) -> None:
         """Show the angles and the length of a take; of none, nothing."""
         self._playback = playback
         self._plots.visible = playback is not None
@@ -227,7 +227,7 @@ class TakesPanel:
         _set(self._person, next(iter(playback.motions)))
         self._show_curves()
 
-    def show_progress(self, playback: Playback) -> None:
+    def show_progress(self, playback: TakePlayback) -> None:
         """Move the slider to where the take plays."""
         if abs(self._position.value - playback.position_s) > 0.2:
             _set(self._position, round(playback.position_s, 2))
@@ -266,7 +266,7 @@ class TakesPanel:
         elif self.chosen:
             begin(self.chosen)
 
-    def _go_on(self, playback: Playback) -> None:
+    def _go_on(self, playback: TakePlayback) -> None:
         playback.playing = True
         self._jobs.report(f"playing {playback.take.name}")
 

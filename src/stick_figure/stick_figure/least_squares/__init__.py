@@ -1,1 +1,1 @@
-"""The articulated least-squares core: a placed figure, residual terms, and their robust Gauss-Newton."""
+"""The articulated least-squares core: a posed figure, residual terms, and their robust Gauss-Newton."""

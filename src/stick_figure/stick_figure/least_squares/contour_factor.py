@@ -2,7 +2,7 @@
 
 A visual hull of few cameras is much wider than the body, and its surface and centerline with it. The rays that bound
 it are not: each one touches the body's own surface, to a fraction of a pixel, at a place along it that only the figure
-can tell (contour generators: Kutulakos & Seitz, IJCV 2000; the "bounding edges" of Cheung, Baker & Kanade, CVPR 2003).
+determines (contour generators: Kutulakos & Seitz, IJCV 2000; "bounding edges": Cheung, Baker & Kanade, CVPR 2003).
 So the residual is the distance between ray and surface, along the outline's normal:
 
     e = n . (q - c) - r,    c on a capsule's axis and q on the ray, where they pass each other nearest
@@ -12,7 +12,7 @@ best: nearest across the ray, on the right side of it, and not outside the stret
 
 The trunk's bend (`trunk_bend`) is solved for about a fit that has converged. Its seven numbers and the pose explain the
 same rays, so their equations are solved as one; the pose's part of the step is left to the next fit, which starts with
-the bend that was found. Hands and feet, which turn by themselves, say nothing about the trunk.
+the new bend. Rays of hands and feet, which turn by themselves, are left out.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from capture_rig.small_matrices import solve_positive
 
 from ..body import BEND_NUMBERS
 from ..body_surface import CAPSULES, BodySurface
-from .free_ends import CAPSULE as CAPSULE_OF_END
-from .free_ends import COUNT, STIFF, add_free_end
+from .extremities import CAPSULE as CAPSULE_OF_EXTREMITY
+from .extremities import COUNT, STIFF, add_extremity
 from .normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -39,12 +39,12 @@ from .normal_equations import (
     pose_columns,
 )
 from .normal_equations import TANGENT as POSE
-from .placed_figure import Figure, place
+from .posed_model import BodyModel, place
 
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
 HALF_LENGTH, ROWS = 12, 13
 CAPSULE, ALONG, DISTANCE, SEPARATION = range(4)
-IS_END = np.isin(np.arange(CAPSULES), CAPSULE_OF_END)  # which capsules are hands and feet
+IS_EXTREMITY = np.isin(np.arange(CAPSULES), CAPSULE_OF_EXTREMITY)  # which capsules are hands and feet
 POSE_AND_BEND = POSE + BEND_NUMBERS
 SURFACE_GATE_M = 0.06  # of a ray or a voxel from the body's surface, at which its weight has fallen to 1/4
 SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
@@ -105,7 +105,7 @@ def rays_at(rays, rows):
 
 class RayMatch(NamedTuple):
     """The capsule (n,) that explains each ray, the place along its axis (n,), the residual ``distance`` e (n,) m, and
-    the ``separation`` (n,) m: with what is off along the outline and beyond the stretch where the ray may touch."""
+    the ``separation`` (n,) m: e with the gaps along the outline and beyond the stretch where the ray may touch."""
 
     capsule: np.ndarray
     along: np.ndarray
@@ -120,32 +120,32 @@ def match_at(match, rows):
 
 
 @njit(cache=True)
-def add_contour(rays, match, placed, gate, ends, H, g):
-    """Add every ray's distance from the capsule that it was matched to to upper H and g, Geman-McClure with a ``gate``,
-    m; hands and feet turn freely."""
+def add_contour(rays, match, posed, gate, ends, H, g):
+    """Add the distances of all rays from their matched capsules to upper H and g, Geman-McClure with a ``gate`` (m),
+    the turns of hands and feet eliminated."""
     if rays.information.shape[0] == 0:
         return
-    sums = no_sums(placed.P.shape[0], ENDS)
+    sums = no_sums(posed.P.shape[0], ENDS)
     sum_rays(rays, match, gate, sums)
-    _add_free_ends(sums, placed, ends, H, g)
-    add_pose_sums(sums, placed, H, g)
+    _add_extremities(sums, posed, ends, H, g)
+    add_pose_sums(sums, posed, H, g)
 
 
 @njit(cache=True)
-def look_at_ends(rays, match, placed, ends):
-    """Let hands and feet that turn freely follow the rays that were matched to them, the pose as it is."""
-    own = np.flatnonzero(IS_END[match.capsule])
-    sums = no_sums(placed.P.shape[0], ENDS)
+def linearise_extremities(rays, match, posed, ends):
+    """Linearise the turns of hands and feet about the rays matched to them, the pose held."""
+    own = np.flatnonzero(IS_EXTREMITY[match.capsule])
+    sums = no_sums(posed.P.shape[0], ENDS)
     sum_rays(rays_at(rays, own), match_at(match, own), SURFACE_GATE_M, sums)
-    _add_free_ends(sums, placed, ends, np.zeros((POSE, POSE)), np.zeros(POSE))
+    _add_extremities(sums, posed, ends, np.zeros((POSE, POSE)), np.zeros(POSE))
 
 
 @njit(cache=True)
-def _add_free_ends(sums, placed, ends, H, g):
-    """Add the sums of hands and feet that turn freely, let them follow from the pose, and clear the sums."""
+def _add_extremities(sums, posed, ends, H, g):
+    """Add the sums of hands and feet, their turns eliminated, and clear these sums."""
     for e in range(COUNT):
-        add_free_end(sums, e, placed, ends, H, g)
-        sums.pulls[CAPSULE_OF_END[e]] = 0.0
+        add_extremity(sums, e, posed, ends, H, g)
+        sums.pulls[CAPSULE_OF_EXTREMITY[e]] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -159,34 +159,34 @@ def sum_rays(rays, match, gate, sums):
 
 
 @njit(cache=True, nogil=True)
-def match_rays(rays, placed, slack):
+def match_rays(rays, posed, slack):
     """Find the capsule that explains each ray best; ``slack`` (m) lengthens the stretch where a ray may touch."""
-    return ray_match(best_of_all(rays, placed, slack))
+    return ray_match(best_of_all(rays, posed, slack))
 
 
 @njit(cache=True)
-def best_of_all(rays, placed, slack):
+def best_of_all(rays, posed, slack):
     """Offer all capsules; returns the best (4, n)."""
     best = no_match(rays)
-    offer_capsules(np.arange(placed.P.shape[0]), rays, placed, slack, best)
+    offer_capsules(np.arange(posed.P.shape[0]), rays, posed, slack, best)
     return best
 
 
 @njit(cache=True)
-def match_turned(rays, placed, slack, stiff):
-    """Do the same after the ``stiff`` capsules have been offered, for hands and feet that turned since."""
+def match_turned(rays, posed, slack, stiff):
+    """Match the rays by the best (4, n) of the ``stiff`` capsules and by hands and feet, which have turned since."""
     best = stiff.copy()
-    offer_capsules(CAPSULE_OF_END, rays, placed, slack, best)
+    offer_capsules(CAPSULE_OF_EXTREMITY, rays, posed, slack, best)
     return ray_match(best)
 
 
 @njit(cache=True)
-def best_of_stiff(rays, placed, slack, best):
-    """Return the best (4, n) of all capsules but hands and feet, by that of all: rays of these are matched anew."""
-    stiff, own = best.copy(), np.flatnonzero(IS_END[best[CAPSULE].astype(np.int64)])
-    rays_of_ends = rays_at(rays, own)
-    others = no_match(rays_of_ends)
-    offer_capsules(STIFF, rays_of_ends, placed, slack, others)
+def best_of_stiff(rays, posed, slack, best):
+    """Return the best (4, n) of all capsules but hands and feet, from the best of all: only rays of these change."""
+    stiff, own = best.copy(), np.flatnonzero(IS_EXTREMITY[best[CAPSULE].astype(np.int64)])
+    rays_of_extremities = rays_at(rays, own)
+    others = no_match(rays_of_extremities)
+    offer_capsules(STIFF, rays_of_extremities, posed, slack, others)
     for i in range(own.shape[0]):
         stiff[:, own[i]] = others[:, i]
     return stiff
@@ -194,18 +194,18 @@ def best_of_stiff(rays, placed, slack, best):
 
 @njit(cache=True)
 def no_match(rays):
-    """Return what the capsules are offered to improve: their number, place, distance and squared separation (4, n)."""
+    """Return the empty best (4, n) of rays: capsule, place along it, distance and infinite squared separation."""
     best = np.zeros((4, rays.rows.shape[1]))
     best[SEPARATION] = np.inf
     return best
 
 
 @njit(cache=True)
-def offer_capsules(chosen, rays, placed, slack, best):
+def offer_capsules(chosen, rays, posed, slack, best):
     """Offer some capsules to all rays, in place."""
-    radii = placed.surface.radii
+    radii = posed.surface.radii
     for k in chosen:
-        match_capsule(k, placed.P[k], placed.Q[k], radii[k, 0], radii[k, 1] - radii[k, 0], slack, rays.rows, best)
+        match_capsule(k, posed.P[k], posed.Q[k], radii[k, 0], radii[k, 1] - radii[k, 0], slack, rays.rows, best)
 
 
 @njit(cache=True)
@@ -252,24 +252,23 @@ def match_capsule(k, start, end, r0, dr, slack, rows, best):
 
 @njit(cache=True, nogil=True)
 def bend_step(rays, match, state, figure, derivatives, pose_information, information, pull):
-    """Return the step (7,) of the bend that lessens the rays' distances from the capsules that they were matched to.
+    """Return the Gauss-Newton step (7,) of the bend on the rays' distances from their matched capsules.
 
-    pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are those of what is known of the
-    bend without rays.
+    pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are the prior's of the bend.
     """
     H, g = np.zeros((POSE_AND_BEND, POSE_AND_BEND)), np.zeros(POSE_AND_BEND)
-    placed = place(state, figure)
-    sums = no_sums(placed.P.shape[0], ENDS)
+    posed = place(state, figure)
+    sums = no_sums(posed.P.shape[0], ENDS)
     sum_rays(rays, match, SURFACE_GATE_M, sums)
-    for k in CAPSULE_OF_END:
+    for k in CAPSULE_OF_EXTREMITY:
         sums.pulls[k] = 0.0
     wide = CHAIN_COLUMNS + BEND_NUMBERS
     M, slots = np.empty((2 * ENDS, wide)), np.empty(wide, np.int64)
     work = np.empty((2 * ENDS + 1, 2 * ENDS))
-    for k in range(placed.P.shape[0]):
+    for k in range(posed.P.shape[0]):
         if sums.pulls[k].any():
-            n = pose_columns(k, placed, M, slots)
-            bend_columns(k, placed, derivatives, M[:, n:], ENDS)
+            n = pose_columns(k, posed, M, slots)
+            bend_columns(k, posed, derivatives, M[:, n:], ENDS)
             for s in range(BEND_NUMBERS):
                 slots[n + s] = POSE + s
             add_capsule(sums, k, M, slots, n + BEND_NUMBERS, work, H, g)
@@ -285,16 +284,16 @@ def bend_step(rays, match, state, figure, derivatives, pose_information, informa
 
 
 @kernel
-def bend_columns(k, placed, derivatives, M, second):
+def bend_columns(k, posed, derivatives, M, second):
     """Fill M (6 or 8, 7 or more) with the derivatives of capsule k's ends, world, with respect to the bend; those of
     its end begin at row ``second``."""
-    j = placed.surface.stick[k]
+    j = posed.surface.stick[k]
     origin = j if j < 6 else j - 4  # the stick on the torso that carries it
     for s in range(BEND_NUMBERS):
         for i in range(3):
             start, end = 0.0, 0.0
             for q in range(3):
-                turned = placed.R0[i, q]
+                turned = posed.R0[i, q]
                 start += turned * (derivatives.origins[origin, q, s] + derivatives.starts[k, q, s])
                 end += turned * (derivatives.origins[origin, q, s] + derivatives.ends[k, q, s])
             M[i, s], M[second + i, s] = start, end
@@ -302,8 +301,8 @@ def bend_columns(k, placed, derivatives, M, second):
 
 @njit(cache=True)
 def bent_figure(figure, derivatives, bend):
-    """Return a figure with its trunk bent so (7,)."""
+    """Return a model with the ``bend`` (7,) of its trunk."""
     origins = figure.origins + (derivatives.origins * bend).sum(axis=2)
     start = figure.surface.start + (derivatives.starts * bend).sum(axis=2)
     end = figure.surface.end + (derivatives.ends * bend).sum(axis=2)
-    return Figure(figure.lengths, origins, BodySurface(figure.surface.stick, start, end, figure.surface.radii))
+    return BodyModel(figure.lengths, origins, BodySurface(figure.surface.stick, start, end, figure.surface.radii))

@@ -1,4 +1,4 @@
-"""The compiled core of the all-joints fit: one robust Gauss-Newton over everything that speaks about the pose.
+"""The compiled core of the all-joints fit: one robust Gauss-Newton over all terms of the pose.
 
 Every term is a kernel ``add_<term>(..., H, g)`` in a module of its own; a new term is such a kernel, its data in
 :class:`Data`, its weight in :class:`Weights`, and a line in :func:`linearise` or :func:`regularise`.
@@ -23,24 +23,24 @@ from .contour_factor import (
     add_contour,
     best_of_all,
     best_of_stiff,
-    look_at_ends,
+    linearise_extremities,
     match_rays,
     match_turned,
     ray_match,
 )
-from .free_ends import follow, straight_ends, turn_ends
-from .independent_rows import add_independent_rows
+from .effective_information import add_effective_information
+from .extremities import back_substitute, straight_extremities, turn_extremities
 from .keypoint_factor import NO_KEYPOINTS, Keypoints, add_keypoints
 from .normal_equations import TANGENT, mirror_upper, point_covariances
-from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_point_residuals, add_surface, match_points, summarise
+from .posed_model import STICKS, place, reference_points, surface_distances
 
-# Thresholds: chosen with python bench/people.py --ablation, in steps of about a half.
+# Thresholds: chosen with python bench/people.py, in steps of about a half.
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
-# weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
-# to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
+# total weight of 1200 rays of 9000 / m^2 over their effective information, of 33 independent samples of 1 cm
+# (`effective_information`); 10 and 50 decide as many limbs of tests/support/simulated_detections.py rightly
 OVERCOUNTED = 30.0
-LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
+EXTREMITY_ITERATIONS = 3  # after which hands and feet of a given pose have converged
 
 
 class Data(NamedTuple):
@@ -82,46 +82,46 @@ class Stop(NamedTuple):
 def assess(data, state, figure, weights, unseen):
     """Evaluate the data at a state: how well it explains them, and how well they determine it.
 
-    unseen : (24,) information about what no row bears on. Returns reference points (15, 3) m and their covariance
-    (15, 3, 3) m^2, that of the independent rows; inliers a stick (10,) and their root mean square distance (m); surface
-    voxels near each stick's surface (10,); what rays were matched to.
+    unseen : (24,) information of what no row bears on. Returns reference points (15, 3) m and their covariance
+    (15, 3, 3) m^2 by the effective information; inliers a stick (10,) and their root mean square distance (m); surface
+    voxels near each stick's surface (10,); the rays' match.
     """
-    placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
-    capsule, _, distance = surface_distances(data.voxels, placed)
+    posed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
+    capsule, _, distance = surface_distances(data.voxels, posed)
     for i in range(distance.shape[0]):
         if abs(distance[i]) < SURFACE_GATE_M:
-            near[placed.surface.stick[capsule[i]]] += 1
-    best = best_of_all(data.contour_rays, placed, SLACK_M)
-    rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
-    match, independent = match_points(data, placed), np.diag(unseen)
+            near[posed.surface.stick[capsule[i]]] += 1
+    best = best_of_all(data.contour_rays, posed, SLACK_M)
+    rays_match, posed = _with_extremities_turned(data.contour_rays, best, state, figure, posed, weights)
+    match, independent = match_points(data, posed), np.diag(unseen)
     total = summarise(match, counts)
-    add_independent_rows(data, placed, rays_match, match, independent)
-    add_keypoints(data.keypoints, placed, 1.0, independent, np.empty(TANGENT))
+    add_effective_information(data, posed, rays_match, match, independent)
+    add_keypoints(data.keypoints, posed, 1.0, independent, np.empty(TANGENT))
     mirror_upper(independent)
-    covariance = point_covariances(independent, placed)
-    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, ray_match(best)
+    covariance = point_covariances(independent, posed)
+    return reference_points(posed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, ray_match(best)
 
 
 @njit(cache=True)
-def _with_ends_turned(rays, best, state, figure, placed, weights):
-    """Return the match of the rays, and the figure with hands and feet turned to where they want them, the pose as it
-    is; ``placed`` : with both straight, ``best`` (4, n) of its capsules."""
-    ends = straight_ends(weights.ends)
-    stiff = best_of_stiff(rays, placed, SLACK_M, best)
-    for _ in range(LOOKS_AT_ENDS):
-        look_at_ends(rays, match_turned(rays, placed, SLACK_M, stiff), placed, ends)
-        follow(ends, np.zeros(TANGENT), 1.0)
-        placed = place(state, figure)
-        turn_ends(ends, placed)
-    return match_turned(rays, placed, SLACK_M, stiff), placed
+def _with_extremities_turned(rays, best, state, figure, posed, weights):
+    """Return the rays' match and the model with hands and feet fitted to them, the pose held; ``posed`` : with both
+    straight, ``best`` (4, n) of its capsules."""
+    ends = straight_extremities(weights.ends)
+    stiff = best_of_stiff(rays, posed, SLACK_M, best)
+    for _ in range(EXTREMITY_ITERATIONS):
+        linearise_extremities(rays, match_turned(rays, posed, SLACK_M, stiff), posed, ends)
+        back_substitute(ends, np.zeros(TANGENT), 1.0)
+        posed = place(state, figure)
+        turn_extremities(ends, posed)
+    return match_turned(rays, posed, SLACK_M, stiff), posed
 
 
 @njit(cache=True)
-def loose_hull_weight(weights, distance):
+def hull_slack_weight(weights, distance):
     """Return the weight of the surface voxels, by their distances (m,) m from the body's surface.
 
-    A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not the body's. Its
-    excess is the median distance: about 10 mm for six cameras around a person, 60 mm for four on two sides.
+    A hull of few cameras is up to twice the body's volume, with a surface that is not the body's. Its excess is the
+    median distance: about 10 mm for six cameras around a person, 60 mm for four on two sides.
     """
     if weights.voxel == 0.0:
         return 0.0
@@ -131,7 +131,7 @@ def loose_hull_weight(weights, distance):
 
 @njit(cache=True, nogil=True)
 def minimise(data, state, figure, weights, stop):
-    """Fit in place over the state, the surface voxels weighed by where it begins; bend the hinges the right way.
+    """Fit the state in place, with the surface voxels' weight of its start; bend the hinges the right way.
 
     Returns the iterations, and how far (m) the last one moved any of the 15 reference points. (Not the step itself: the
     twist of a straight limb may wander without moving anything.)
@@ -139,23 +139,23 @@ def minimise(data, state, figure, weights, stop):
     start = (state.t0.copy(), state.R0.copy(), state.RJ.copy(), state.hinges.copy())
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     L, step = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
-    placed, ends = place(state, figure), straight_ends(weights.ends)
-    after, moved, voxel, iteration = reference_points(placed), np.inf, 0.0, 0
+    posed, ends = place(state, figure), straight_extremities(weights.ends)
+    after, moved, voxel, iteration = reference_points(posed), np.inf, 0.0, 0
     while iteration < stop.iterations and not moved < stop.tolerance:
-        nearest = surface_distances(data.voxels, placed)
+        nearest = surface_distances(data.voxels, posed)
         if iteration == 0:
-            voxel = loose_hull_weight(weights, nearest[2])
-        rays_match = match_rays(data.contour_rays, placed, SLACK_M)
-        linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g)
-        regularise(start, placed, weights, H, g)
+            voxel = hull_slack_weight(weights, nearest[2])
+        rays_match = match_rays(data.contour_rays, posed, SLACK_M)
+        linearise(data, rays_match, nearest, posed, weights, voxel, ends, H, g)
+        regularise(start, posed, weights, H, g)
         mirror_upper(H)
         solve_positive(H, g, L, step)
         scale = kernels.scale_of_step(step)
         kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step, scale)
-        follow(ends, step, scale)
-        placed, before = place(state, figure), after
-        turn_ends(ends, placed)
-        after = reference_points(placed)
+        back_substitute(ends, step, scale)
+        posed, before = place(state, figure), after
+        turn_extremities(ends, posed)
+        after = reference_points(posed)
         moved = np.sqrt(((after - before) ** 2).sum(axis=1).max())
         iteration += 1
     kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), stop.hinge_margin)
@@ -163,26 +163,26 @@ def minimise(data, state, figure, weights, stop):
 
 
 @njit(cache=True, nogil=True)
-def linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g):
-    """Overwrite upper H and g with what the data say about the pose, rays and voxels (``nearest``) with what they were
-    matched to; ``voxel`` : weight of a voxel, 1/m^2."""
+def linearise(data, rays_match, nearest, posed, weights, voxel, ends, H, g):
+    """Overwrite upper H and g with the data's terms, rays and voxels (``nearest``) as matched; ``voxel`` : weight of a
+    voxel, 1/m^2."""
     H[:] = 0.0
     g[:] = 0.0
-    add_point_residuals(data.points, match_points(data, placed), placed, H, g)
+    add_point_residuals(data.points, match_points(data, posed), posed, H, g)
     if voxel != 0.0:
-        add_surface(data.voxels, nearest, placed, voxel, SURFACE_GATE_M, H, g)
-    add_contour(data.contour_rays, rays_match, placed, SURFACE_GATE_M, ends, H, g)
-    add_keypoints(data.keypoints, placed, OVERCOUNTED, H, g)
+        add_surface(data.voxels, nearest, posed, voxel, SURFACE_GATE_M, H, g)
+    add_contour(data.contour_rays, rays_match, posed, SURFACE_GATE_M, ends, H, g)
+    add_keypoints(data.keypoints, posed, OVERCOUNTED, H, g)
 
 
 @njit(cache=True)
-def regularise(start, placed, weights, H, g):
-    """Add to upper H and g what is known without data: the start, the neck's rest, joint limits."""
+def regularise(start, posed, weights, H, g):
+    """Add to upper H and g the priors: the start, the neck's rest, joint limits."""
     back = np.empty(TANGENT)
     t0, R0, RJ, hinges = start
-    kernels.difference(t0, R0, RJ, hinges, placed.t0, placed.R0, placed.RJ, placed.hinges, back)
+    kernels.difference(t0, R0, RJ, hinges, posed.t0, posed.R0, posed.RJ, posed.hinges, back)
     for k in range(TANGENT):
         H[k, k] += weights.prior[k]
         g[k] += weights.prior[k] * back[k]
-    add_neck_rest(placed.RJ[0], NECK_SD**-2, H, g)
-    add_joint_limits(placed.RJ, placed.hinges, np.inf, LIMIT_SD_RAD**-2, H, g)
+    add_neck_rest(posed.RJ[0], NECK_SD**-2, H, g)
+    add_joint_limits(posed.RJ, posed.hinges, np.inf, LIMIT_SD_RAD**-2, H, g)

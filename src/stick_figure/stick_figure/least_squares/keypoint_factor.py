@@ -90,15 +90,15 @@ NO_KEYPOINTS = Keypoints(
 
 
 @njit(cache=True)
-def add_keypoints(keypoints, placed, scale, H, g):
+def add_keypoints(keypoints, posed, scale, H, g):
     """Add every detection's residual to upper H and g, ``scale`` times its information."""
     point, D, J = np.empty(3), np.empty((2, 3)), np.empty((3, CHAIN_COLUMNS))
     slots, E = np.empty(CHAIN_COLUMNS, np.int64), np.empty((2, CHAIN_COLUMNS))
     for i in range(keypoints.score.shape[0]):
-        p, q, a, b, c = _residual(keypoints, i, placed, point, D)
+        p, q, a, b, c = _residual(keypoints, i, posed, point, D)
         ratio = 1.0 + _mahalanobis(p, q, a, b, c) / GATE_SIGMAS**2
         w = scale * keypoints.score[i] / (ratio * ratio)
-        n = kernels.point_jacobian(CARRIER[keypoints.landmark[i]], point, placed.t0, placed.A, placed.axes, J, slots)
+        n = kernels.point_jacobian(CARRIER[keypoints.landmark[i]], point, posed.t0, posed.A, posed.axes, J, slots)
         for m in range(n):
             for row in range(2):
                 E[row, m] = D[row, 0] * J[0, m] + D[row, 1] * J[1, m] + D[row, 2] * J[2, m]
@@ -111,31 +111,31 @@ def add_keypoints(keypoints, placed, scale, H, g):
 
 
 @njit(cache=True, nogil=True)
-def keypoint_support(keypoints, placed, sticks):
+def keypoint_support(keypoints, posed, sticks):
     """Return by how much (nats) the detections of joints on some ``sticks`` (10,) bool speak for the pose: the log
     likelihood over that of detections that are anywhere."""
     point, D, support = np.empty(3), np.empty((2, 3)), 0.0
     for i in range(keypoints.score.shape[0]):
         if sticks[CARRIER[keypoints.landmark[i]]]:
-            p, q, a, b, c = _residual(keypoints, i, placed, point, D)
+            p, q, a, b, c = _residual(keypoints, i, posed, point, D)
             support += keypoints.score[i] * MOST_NATS / (1.0 + _mahalanobis(p, q, a, b, c) / GATE_SIGMAS**2)
     return support
 
 
 @njit(cache=True, nogil=True)
-def offsets_m(keypoints, placed):
+def offsets_m(keypoints, posed):
     """Return by how much (n, 2), m, the detections are off the joints, across their cameras' axes at the joints' depth;
     huge at and behind the camera."""
     point, D, offsets = np.empty(3), np.empty((2, 3)), np.empty((keypoints.score.shape[0], 2))
     for i in range(offsets.shape[0]):
-        p, q, _, _, _ = _residual(keypoints, i, placed, point, D)
+        p, q, _, _, _ = _residual(keypoints, i, posed, point, D)
         depth = max(_depth(keypoints.T_camera_world[i], point), NEAREST_M)
         offsets[i, 0], offsets[i, 1] = p * depth, q * depth
     return offsets
 
 
 @kernel
-def _residual(keypoints, i, placed, point, D):
+def _residual(keypoints, i, posed, point, D):
     """point (3,) <- the joint in the world; D (2, 3) <- the derivative of its view.
 
     Returns the residual and the numbers a, b, c of its information [[a, b], [b, c]]; at and behind the camera the
@@ -144,8 +144,8 @@ def _residual(keypoints, i, placed, point, D):
     k, T = keypoints.landmark[i], keypoints.T_camera_world[i]
     j, u = LINE[k], ALONG[k]
     for r in range(3):
-        along = placed.A[j, r] + u * (placed.B[j, r] - placed.A[j, r])
-        point[r] = along + LEFT[k] * placed.G[CARRIER[k], r, 1]
+        along = posed.A[j, r] + u * (posed.B[j, r] - posed.A[j, r])
+        point[r] = along + LEFT[k] * posed.G[CARRIER[k], r, 1]
     z = _depth(T, point)
     if z < NEAREST_M:
         D[:] = 0.0

@@ -22,7 +22,7 @@ from capture_rig.small_matrices import inverse_positive
 
 from .. import kernels
 from ..skeleton import POINT_STICK
-from .placed_figure import POINTS, reference_points
+from .posed_model import POINTS, reference_points
 
 TANGENT = 24
 CHAIN_COLUMNS, TORSO_COLUMNS = 11, 6  # most columns that a point's Jacobian can have; those of the torso come first
@@ -43,7 +43,7 @@ class CapsuleSums(NamedTuple):
 
 @njit(cache=True)
 def no_sums(capsules, numbers):
-    """Return zero sums over so many capsules; ``numbers`` is ENDS or WHOLE."""
+    """Return zero sums of each of k ``capsules``; ``numbers`` is ENDS or WHOLE."""
     return CapsuleSums(np.zeros((capsules, 3, numbers * (numbers + 1) // 2)), np.zeros((capsules, 2, 4)))
 
 
@@ -68,11 +68,11 @@ def add_to_sums(sums, capsule, along, normals, weight, distance):
             bb = _plus_six(bb, end * u, products)
             a = _plus_four(a, start * e, normal)
             b = _plus_four(b, end * e, normal)
-        _put(squares[0], aa)
-        _put(squares[1], ab)
-        _put(squares[2], bb)
-        _put(pulls[0], a)
-        _put(pulls[1], b)
+        _store(squares[0], aa)
+        _store(squares[1], ab)
+        _store(squares[2], bb)
+        _store(pulls[0], a)
+        _store(pulls[1], b)
         if squares.shape[1] > 6:
             aa, ab, bb = _four(squares[0, 6:]), _four(squares[1, 6:]), _four(squares[2, 6:])
             for i in own:
@@ -81,14 +81,14 @@ def add_to_sums(sums, capsule, along, normals, weight, distance):
                 aa = _plus_four(aa, start * (1.0 - u), normal)
                 ab = _plus_four(ab, start * u, normal)
                 bb = _plus_four(bb, end * u, normal)
-            _put(squares[0, 6:], aa)
-            _put(squares[1, 6:], ab)
-            _put(squares[2, 6:], bb)
+            _store(squares[0, 6:], aa)
+            _store(squares[1, 6:], ab)
+            _store(squares[2, 6:], bb)
 
 
 @kernel
 def _sort_by_capsule(capsule, last, order):
-    """order (n,) <- the rows of each capsule, one after another; last (k,), zero before <- where each one's end."""
+    """order (n,) <- rows sorted by capsule; last (k,), zero before, <- the end of each capsule's rows there."""
     for i in range(capsule.shape[0]):
         last[capsule[i]] += 1
     total = 0
@@ -128,27 +128,27 @@ def _four(array):
 
 
 @kernel
-def _put(array, numbers):
+def _store(array, numbers):
     for q in range(len(numbers)):
         array[q] = numbers[q]
 
 
 @njit(cache=True)
-def add_pose_sums(sums, placed, H, g):
+def add_pose_sums(sums, posed, H, g):
     """Add the sums of distances to the equations of the pose."""
     M, slots = np.empty((2 * ENDS, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
     work = np.empty((2 * ENDS + 1, 2 * ENDS))
-    for k in range(placed.P.shape[0]):
+    for k in range(posed.P.shape[0]):
         if sums.pulls[k].any():
-            add_capsule(sums, k, M, slots, pose_columns(k, placed, M, slots), work, H, g)
+            add_capsule(sums, k, M, slots, pose_columns(k, posed, M, slots), work, H, g)
 
 
 @kernel
-def pose_columns(k, placed, M, slots):
+def pose_columns(k, posed, M, slots):
     """Fill M (6 or 8, n) with the derivatives of capsule k's ends along the tangent ``slots`` (n,); returns n."""
-    stick, second = placed.surface.stick[k], M.shape[0] // 2
-    kernels.point_jacobian(stick, placed.P[k], placed.t0, placed.A, placed.axes, M[:3], slots)
-    return kernels.point_jacobian(stick, placed.Q[k], placed.t0, placed.A, placed.axes, M[second:], slots)
+    stick, second = posed.surface.stick[k], M.shape[0] // 2
+    kernels.point_jacobian(stick, posed.P[k], posed.t0, posed.A, posed.axes, M[:3], slots)
+    return kernels.point_jacobian(stick, posed.Q[k], posed.t0, posed.A, posed.axes, M[second:], slots)
 
 
 @kernel
@@ -162,8 +162,8 @@ def add_capsule(sums, k, M, slots, n, work, H, g):
 
 @kernel
 def add_whole_capsule(sums, k, M, slots, n, common, work, H, g):
-    """Do the same with a radius at either end, M (8, n + common), for unknowns of its own and those ``common`` to all
-    capsules, which are the last ones of H."""
+    """Add the sums of capsule k with a radius at either end, M (8, n + common), for unknowns of its own and those
+    ``common`` to all capsules, which are the last ones of H."""
     for s in range(common):
         slots[n + s] = H.shape[0] - common + s
     _add_numbers(2 * WHOLE, sums, k, M, slots, n, n + common, work, H, g)
@@ -200,7 +200,7 @@ def _add_numbers(c, sums, k, M, slots, own, n, work, H, g):
 
 @kernel
 def _add_four_rows(factors, rows, total):
-    """total (n,) <- with the rows (4, n) times their factors (4,) added, in order; vectorised."""
+    """total (n,) += factors (4,) times rows (4, n), in order; vectorised."""
     a, b, c, d = _four(factors)
     first, second, third, fourth = rows[0], rows[1], rows[2], rows[3]
     for s in range(total.shape[0]):
@@ -227,13 +227,13 @@ def mirror_upper(H):
 
 
 @njit(cache=True)
-def point_covariances(information, placed):
+def point_covariances(information, posed):
     """Return J information^-1 J^T of the 15 reference points, (15, 3, 3) m^2, world frame."""
-    points, S = reference_points(placed), inverse_positive(information)
+    points, S = reference_points(posed), inverse_positive(information)
     covariance = np.empty((POINTS, 3, 3))
     J, slots = np.empty((3, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
     for i in range(POINTS):
-        n = kernels.point_jacobian(POINT_STICK[i], points[i], placed.t0, placed.A, placed.axes, J, slots)
+        n = kernels.point_jacobian(POINT_STICK[i], points[i], posed.t0, posed.A, posed.axes, J, slots)
         if i == 0:
             n = 3  # the torso's centre does not move with any rotation
         for p in range(3):

@@ -24,7 +24,7 @@ from capture_rig.kernel import kernel, njit
 
 from .. import kernels
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_to_sums, no_sums
-from .placed_figure import STICKS, columns
+from .posed_model import STICKS, columns
 
 
 class PointMatch(NamedTuple):
@@ -40,13 +40,13 @@ class PointMatch(NamedTuple):
 
 
 @njit(cache=True)
-def match_points(data, placed):
+def match_points(data, posed):
     """Find each point's stick, its foot there, and how much it counts."""
     n = data.points.shape[0]
     match = PointMatch(
         np.empty(n, np.int64), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.bool_)
     )
-    foot_points(data.points, placed.A, placed.B, match.stick, match.along, match.feet, match.squared)
+    foot_points(data.points, posed.A, posed.B, match.stick, match.along, match.feet, match.squared)
     robust_weights(data, match)
     return match
 
@@ -76,7 +76,7 @@ def summarise(match, counts):
 
 
 @njit(cache=True)
-def add_point_residuals(points, match, placed, H, g):
+def add_point_residuals(points, match, posed, H, g):
     """Add sum w J^T J to upper H and sum w J^T r to g, r = point - foot.
 
     A foot at ``along`` = u has the Jacobian (1-u) J_A + u J_B of its stick's two ends, so that a stick's points enter
@@ -85,15 +85,15 @@ def add_point_residuals(points, match, placed, H, g):
     squares = np.zeros((STICKS, 5))
     pulls = np.zeros((STICKS, 2, 3))
     sum_over_sticks(points, match, squares, pulls)
-    A, B = placed.A, placed.B
+    A, B = posed.A, posed.B
     J_A, J_B = np.empty((3, CHAIN_COLUMNS)), np.empty((3, CHAIN_COLUMNS))
     slots = np.empty(CHAIN_COLUMNS, np.int64)
     for j in range(STICKS):
         inside_aa, inside_ab, inside_bb, at_start, at_end = squares[j]
         if inside_aa + inside_bb + at_start + at_end == 0.0:
             continue
-        kernels.point_jacobian(j, A[j], placed.t0, A, placed.axes, J_A, slots)
-        n = kernels.point_jacobian(j, B[j], placed.t0, A, placed.axes, J_B, slots)
+        kernels.point_jacobian(j, A[j], posed.t0, A, posed.axes, J_A, slots)
+        n = kernels.point_jacobian(j, B[j], posed.t0, A, posed.axes, J_B, slots)
         for m in range(n):
             for k in range(3):
                 g[slots[m]] += J_A[k, m] * pulls[j, 0, k] + J_B[k, m] * pulls[j, 1, k]
@@ -203,25 +203,25 @@ def place_feet(A, B, stick, along, feet):
 
 
 @njit(cache=True)
-def add_surface(voxels, nearest, placed, information, gate, H, g):
+def add_surface(voxels, nearest, posed, information, gate, H, g):
     """Add the distances of surface voxels (m, 3) m from the body's surface to upper H and g, Geman-McClure.
 
     ``nearest`` : their capsules, as of `surface_distances`. information : 1/m^2 of each; gate : m.
     """
-    sums = no_sums(placed.P.shape[0], ENDS)
-    _sum_voxels(voxels, nearest, placed, information, gate, sums)
-    add_pose_sums(sums, placed, H, g)
+    sums = no_sums(posed.P.shape[0], ENDS)
+    _sum_voxels(voxels, nearest, posed, information, gate, sums)
+    add_pose_sums(sums, posed, H, g)
 
 
 @njit(cache=True, error_model="numpy")
-def _sum_voxels(voxels, nearest, placed, information, gate, sums):
+def _sum_voxels(voxels, nearest, posed, information, gate, sums):
     """Add the voxels' distances to the sums of their nearest capsules."""
     capsule, along, distance = nearest
     normals, weight = np.empty((3, voxels.shape[0])), np.empty(voxels.shape[0])
     for i in range(voxels.shape[0]):
         c, u = capsule[i], along[i]
         for q in range(3):
-            normals[q, i] = voxels[i, q] - (placed.P[c, q] + u * (placed.Q[c, q] - placed.P[c, q]))
+            normals[q, i] = voxels[i, q] - (posed.P[c, q] + u * (posed.Q[c, q] - posed.P[c, q]))
     _weigh_voxels(distance, information, gate, normals, weight)
     add_to_sums(sums, capsule, along, normals, weight, distance)
 

@@ -104,11 +104,11 @@ class GvcpServer:
             if self._faults.unplugged:
                 continue
             try:
-                self._take(CommandPacket.decode(data), peer)
+                self._handle(CommandPacket.decode(data), peer)
             except MalformedPacket:
                 self._counters["malformed_commands"] += 1
 
-    def _take(self, packet: CommandPacket, peer: Peer) -> None:
+    def _handle(self, packet: CommandPacket, peer: Peer) -> None:
         self._counters["commands"] += 1
         if peer == self.owner:  # any command of the owner is a heartbeat
             self._heard_ns = time.monotonic_ns()

@@ -83,7 +83,7 @@ class Role:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Ensemble:
     """Roles of several persons, and how long (s) it takes them to play them once."""
 
     roles: tuple[Role, ...]
@@ -131,11 +131,11 @@ def going_first(person: VolumetricBody) -> Timeline:
     return Timeline((hold(STAND_S, STANDING), way, around, hold(1.5, STANDING), way, around, hold(3.0, STANDING)))
 
 
-TOGETHER: Mapping[str, Scene] = {
-    "meeting": Scene((Role(meeting, (-APART_X_M, -APART_Y_M)), Role(meeting, (APART_X_M, APART_Y_M), np.pi)), 15.2),
-    "coming_later": Scene((Role(staying, (-0.55, 0.0)), Role(coming_later, (OUTSIDE_M, 0.0), np.pi)), 16.8),
-    "going_first": Scene((Role(going_first, (0.5, -0.3)), Role(staying, (-0.6, 0.3))), 14.0),
-    "crowd": Scene(tuple(Role(partial(one_after_another, number=k), *place) for k, place in enumerate(CROWD)), 14.0),
+TOGETHER: Mapping[str, Ensemble] = {
+    "meeting": Ensemble((Role(meeting, (-APART_X_M, -APART_Y_M)), Role(meeting, (APART_X_M, APART_Y_M), np.pi)), 15.2),
+    "coming_later": Ensemble((Role(staying, (-0.55, 0.0)), Role(coming_later, (OUTSIDE_M, 0.0), np.pi)), 16.8),
+    "going_first": Ensemble((Role(going_first, (0.5, -0.3)), Role(staying, (-0.6, 0.3))), 14.0),
+    "crowd": Ensemble(tuple(Role(partial(one_after_another, number=k), *place) for k, place in enumerate(CROWD)), 14.0),
 }
 
 

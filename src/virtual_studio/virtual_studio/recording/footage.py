@@ -170,7 +170,7 @@ class _BoardFilms:
             for frame in range(round(waved.duration_s * plan.fps)):
                 t = (frame + 0.5) / plan.fps
                 held = hands(self._hand, waved.path(t))
-                video.write(self._take(number, FIRST_FRAME[INTRINSICS] + frame, self._hand, waved.path, t, held))
+                video.write(self._expose(number, FIRST_FRAME[INTRINSICS] + frame, self._hand, waved.path, t, held))
         return f"{INTRINSICS}/{camera.name}"
 
     def film_floor(self) -> None:
@@ -178,7 +178,7 @@ class _BoardFilms:
         lying = on_floor(self._floor)
         (self._folder / FLOOR).mkdir()
         for number, camera in enumerate(self._cameras):
-            picture = self._take(number, FIRST_FRAME[FLOOR], self._floor, lambda t: lying, 0.0)
+            picture = self._expose(number, FIRST_FRAME[FLOOR], self._floor, lambda t: lying, 0.0)
             cv2.imwrite(str(self._folder / FLOOR / f"{camera.camera.name}.png"), picture)
 
     def film_carried(self) -> None:
@@ -191,11 +191,11 @@ class _BoardFilms:
             for frame in range(round(plan.moving_s * plan.fps)):
                 t = (frame + 0.5) / plan.fps
                 shot = FIRST_FRAME[MOVING] + frame, board, path, t, person_with(person, board, path(t))
-                pictures = self._pool.map(lambda number, shot=shot: self._take(number, *shot), range(len(videos)))
+                pictures = self._pool.map(lambda number, shot=shot: self._expose(number, *shot), range(len(videos)))
                 for video, picture in zip(videos, pictures, strict=True):
                     video.write(picture)
 
-    def _take(
+    def _expose(
         self, number: int, frame: int, board: BoardPrint, path: PosePath, t: float, people: Capsules | None = None
     ) -> Image:
         """Take a camera's picture of a board on its path at time t (the middle of the exposure), s."""

@@ -14,7 +14,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig
 
 from ..people import Capsules
-from ..rig import View, pixel_rays, view_room
+from ..rig import RoomView, pixel_rays, view_room
 from .capsules import draw_capsules, floor_shadow, shadow_lookup, silhouette
 
 Image = NDArray[np.uint8]
@@ -31,7 +31,7 @@ BANDS = 8  # of rows that a rolling shutter exposes at once here: 2 ms apart, in
 class VirtualCamera:
     """Renders the room with a body and its shadow through one camera; what does not move is computed once."""
 
-    def __init__(self, camera: CameraModel, view: View | None = None, standing: Capsules | None = None) -> None:
+    def __init__(self, camera: CameraModel, view: RoomView | None = None, standing: Capsules | None = None) -> None:
         """``view`` : what it sees of a room that differs from the usual one (`scene.room.view_room`); ``standing`` :
         things in the room that hide who is behind them, with their shadow."""
         self.camera = camera
@@ -119,7 +119,7 @@ class ExactSilhouettes:
         return masks
 
 
-def _furnished(camera: CameraModel, view: View, standing: Capsules) -> tuple[View, NDArray[np.float32]]:
+def _furnished(camera: CameraModel, view: RoomView, standing: Capsules) -> tuple[RoomView, NDArray[np.float32]]:
     """The room with things in it, on which no shadow falls, and their depth (h, w) along the rays, m."""
     columns, rows = np.moveaxis(shadow_lookup(view.floor_xy), 2, 0)
     share = cv2.remap(floor_shadow(standing), columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 1.0)

@@ -1,7 +1,7 @@
 """Truncation of a body by the volume and the views: which parts are cut off, which camera misses them, where to step.
 
-Outside the volume, and where too few cameras see, a hull ends although the body goes on. A part of which the hull ends
-there is unknown: it may not be measured.
+Outside the volume, and where too few cameras see, a hull ends although the body goes on. Parts that are cut there must
+not be measured.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right ha
 
 # Thresholds: measured by python bench/people.py --first-pose (what is refused, what is started wrongly).
 TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
-SAGGING_M, FEET_LOST_M = 0.08, 0.6  # a hull sags so far below the soles; one that ends at the knees may lack feet
-COLUMN_M = 0.23  # of the crown from the body's middle, at most
-REACH_VOXELS = 1.5  # from a voxel's centre to where the hull must be able to go on
+SAGGING_M, FEET_LOST_M = 0.08, 0.6  # a hull sags this far below the soles; one that ends at the knees may lack feet
+COLUMN_M = 0.23  # greatest distance of the crown from the body's middle
+REACH_VOXELS = 1.5  # from a voxel's centre to the place that must be visible for the hull to continue
 FEWEST_CUT = 5  # voxels (of some 3000 samples of a body) that make a cut
 FEET_TO, HEAD_FROM = 0.45, 0.90  # heights over the stature: a cut below the first lacks feet
 HANDS = (LEFT_HAND, RIGHT_HAND)
-TIP_M, TIP_CUT = 0.06, 0.33  # two cells of the hull and half a hand; its outermost third is what a cut takes at least
+TIP_M, TIP_CUT = 0.06, 0.33  # two cells of the hull and half a hand; least share of a tip that a cut removes
 TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
 # places of a T-pose over the stature: ahead, to the left, up (Drillis & Contini 1966: feet .152 long, span about 1)
 ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
@@ -31,7 +31,7 @@ ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """Where somebody stands: place (2,) m, forward (2,) unit, or its opposite, floor and stature m."""
+    """A standing person: place (2,) m, forward (2,) unit or its opposite, floor and stature m."""
 
     place_world: np.ndarray
     forward_world: np.ndarray
@@ -39,7 +39,7 @@ class Stance:
     stature: float
 
     def places_of(self, parts: tuple[str, ...]) -> np.ndarray:
-        """Return points (k, 3) about some parts of a T-pose in this stance, all of it for BODY, world, metres."""
+        """Return points (k, 3) about parts of a T-pose in this stance, of all parts for BODY, world, metres."""
         ahead = np.array([*self.forward_world, 0.0])
         left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
         origin = np.array([*self.place_world, self.floor_world])
@@ -63,9 +63,9 @@ def pitch_of(voxels_world: np.ndarray) -> float:
 
 
 def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:
-    """Return about where a body stands, whatever its hull lacks: on the map's floor unless it is far above.
+    """Estimate where a body stands, though its hull may be cut: on the map's floor unless it is far above.
 
-    The crown is over the body's middle: what is farther off and higher is a raised hand.
+    The crown lies over the body's middle; higher voxels farther off are a raised hand.
     """
     floor = float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2
     floor = 0.0 if -SAGGING_M < floor < FEET_LOST_M else floor
@@ -78,7 +78,7 @@ def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:
 
 
 def at_the_cut(voxels_world: np.ndarray, pitch: float, visibility: RigVisibility) -> np.ndarray:
-    """Return which voxels (m,) bool of a hull have a neighbour that the rig cannot show, above the floor."""
+    """Return which voxels (m,) bool of a hull have a neighbour, above the floor, that the rig does not see."""
     cut = np.zeros(len(voxels_world), dtype=bool)
     for axis in range(3):
         for way in (-1.0, 1.0):
@@ -89,7 +89,7 @@ def at_the_cut(voxels_world: np.ndarray, pitch: float, visibility: RigVisibility
 
 
 def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, visibility: RigVisibility) -> tuple[str, ...]:
-    """Name the parts of a hull (m, 3) that are cut off where the rig sees no farther."""
+    """Name the parts of a hull (m, 3) that are cut off at the limit of the rig's view."""
     cut = at_the_cut(voxels_world, pitch, visibility)
     if np.count_nonzero(cut) < FEWEST_CUT:
         return ()
@@ -115,16 +115,17 @@ def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, visibility
 
 
 def _tip(arms: np.ndarray, outwards: np.ndarray) -> np.ndarray:
-    """Return which voxels (m,) are the outer end of the arm on one side: that of an arm that is cut is all cut.
+    """Return which voxels (m,) are the outer end of the arm on one side.
 
-    A hull is wider than the arm in it, so its sides may reach what the rig does not show though the hand does not.
+    Its cut share is tested, as a hull is wider than the arm in it, so its sides may leave the view though the hand does
+    not.
     """
     side = arms & (outwards > 0.0)
     return side & (outwards > outwards[side].max(initial=0.0) - TIP_M)
 
 
 def advice_text(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility) -> str:
-    """Say in one sentence what is not seen, by which cameras, and where to step."""
+    """Return one sentence on what is not seen, by which cameras, and where to step."""
     names = dict.fromkeys(part.split()[-1] for part in parts)  # whose front is not known has no left hand
     yours = "you" if parts == (BODY,) else "your " + " and ".join(names)
     places = stance.places_of(parts)

@@ -1,8 +1,8 @@
-"""What the hull of a T-pose adds to the sizes of a person of whom the stature is known.
+"""Update of a person's sizes by the hull of a T-pose.
 
-The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. How a sum splits at
-a joint inside a straight limb (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so each sum is
-one linear update. Where limbs point, and which voxels are theirs, tells the figure that was fitted to the T-pose.
+The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. The split of a sum
+at a joint inside a straight limb (elbow, knee, neck, hip) is left to proportions. Both are Gaussian here, so each sum
+is one linear update. Directions of limbs and their voxels are taken from the body that was fitted to the T-pose.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from .body_sizes import (
 )
 
 # Over the stature: thresholds measured by python bench/people.py --first-pose (rms against claimed standard deviation).
-SHOWN_SD = 0.009  # by which a sum that the hull shows errs
-ARMS_FROM, INNER_TO = 0.20, 0.32  # from the spine only arms are left; from there on to the elbow
+SHOWN_SD = 0.009  # standard deviation of a measured sum
+ARMS_FROM, INNER_TO = 0.20, 0.32  # distances from the spine: beyond the first only arms are left, the second: elbow
 NEAR_LINE = 0.05  # ahead of the arm's line, or behind
 LEGS, ARMPIT, TRUNK_TO = (0.10, 0.40), (-0.105, -0.065), 0.16  # heights of legs, of the chest from the arms'; its side
 SHOULDER_BEYOND_CHEST = 0.015  # shoulder joints lie outside the trunk's sides at the armpits
 FINGERS_LOST_M = 0.015  # fingers are thinner than a voxel: a hull's arms end before the tips
-FEWEST_VOXELS = 8  # that show a part: a sum of which less is seen, behind a desk or in a torn hull, is not observed
+FEWEST_VOXELS = 8  # of a part: a sum with fewer, behind a desk or in a torn hull, is not observed
 ARMS = ((1.0, 3, 11), (-1.0, 4, 12))  # left or right, and points: shoulder and hand
 
 
 def with_t_pose(estimate: BodyEstimate, points_world: np.ndarray, voxels: np.ndarray, pitch: float) -> BodyEstimate:
-    """Return the sizes, given the points (15, 3) of a figure that was fitted to a T-pose, and the hull's voxels (m, 3)
-    of so large an edge; world, metres, from the floor up."""
+    """Return the sizes, given the points (15, 3) of a body that was fitted to a T-pose, and the hull's voxels (m, 3) of
+    an edge ``pitch``; world, metres, from the floor up."""
     x, y = (points_world[3] - points_world[4])[:2]
     axes = np.array([[y, x, 0.0], [-x, y, 0.0], [0.0, 0.0, np.hypot(x, y)]]) / np.hypot(x, y)  # ahead, left, up
     neck = points_world[2] * [1.0, 1.0, 0.0]
@@ -53,8 +53,8 @@ def with_t_pose(estimate: BodyEstimate, points_world: np.ndarray, voxels: np.nda
 
 
 def _sums(points: np.ndarray, local: np.ndarray, H: float, pitch: float) -> Iterator[tuple[dict[int, float], float]]:
-    """Yield the sums of sizes that the hull shows, with the factor of each, and their values, metres; of limbs the mean
-    of the sides that are seen."""
+    """Yield the sums of sizes that the hull shows, with each size's factor, and their values, metres; of limbs the mean
+    of the visible sides."""
     shoulder, hip_height, ahead, across, up = MEAN_OVER_STATURE[SHOULDER] * H, points[5:7, 2].mean(), *local.T
     reaches, heights, aparts, uprights, stretches = [], [], [], [], []
     for side, *ends in ARMS:
@@ -74,7 +74,7 @@ def _sums(points: np.ndarray, local: np.ndarray, H: float, pitch: float) -> Iter
             slope, offset = np.polyfit(up[leg], side * across[leg], 1)
             aparts.append(offset + slope * hip_height)
             uprights.append(1.0 / np.hypot(1.0, slope))
-    if not (heights and aparts):  # how the figure stands is not seen: proportions alone tell
+    if not (heights and aparts):  # too little is seen of arms or legs: proportions alone
         return
     stretch, upright, height = (float(np.mean(values)) for values in (stretches, uprights, heights))
     yield {HEAD_: 1.0, TORSO_: 1.0, THIGH: upright, CALF: upright, ANKLE: 1.0}, H

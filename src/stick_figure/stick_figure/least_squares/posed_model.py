@@ -1,7 +1,7 @@
-"""The figure placed in the world, as the arrays that every residual term of a fit looks at.
+"""The body's model in a pose, as the arrays that every residual term of a fit reads.
 
-A pose becomes a :class:`State` that a solver moves in place, a body a :class:`Figure`; :func:`place` gives the
-:class:`PlacedFigure` of both. All are NamedTuples of float64, C-contiguous arrays, which compiled kernels take whole.
+A pose becomes a :class:`PoseState` that a solver moves in place, a body a :class:`BodyModel`; :func:`place` gives the
+:class:`PosedModel` of both. All are NamedTuples of float64, C-contiguous arrays, which compiled kernels take whole.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..trunk_bend import bend_derivatives
 STICKS, POINTS = 10, 15
 
 
-class State(NamedTuple):
+class PoseState(NamedTuple):
     """A pose that a solver changes in place.
 
     t0 (3,) torso centre, world, m; R0 (3, 3) torso to world; RJ (5, 3, 3) ball joints, stick to torso;
@@ -35,16 +35,16 @@ class State(NamedTuple):
     hinges: np.ndarray
 
     @staticmethod
-    def of(pose: Pose) -> State:
+    def of(pose: Pose) -> PoseState:
         """Copy a pose's arrays."""
-        return State(*(part.copy() for part in pose.arrays))
+        return PoseState(*(part.copy() for part in pose.arrays))
 
     def pose(self) -> Pose:
         """Return the pose that these arrays describe (copied)."""
         return Pose(*self)
 
 
-class Figure(NamedTuple):
+class BodyModel(NamedTuple):
     """A body: lengths (10,) m of the sticks, origins (10, 3) m of those that start on the torso, and its surface."""
 
     lengths: np.ndarray
@@ -53,19 +53,19 @@ class Figure(NamedTuple):
 
     @staticmethod
     @lru_cache(maxsize=8)
-    def of(body: Body) -> Figure:
-        """Return the arrays of a body, its surface that of its build, its trunk as it is bent."""
+    def of(body: Body) -> BodyModel:
+        """Return the model of a body with the surface of its build and the bend of its trunk."""
         if body.unbent is None:
-            return Figure(body.lengths, body.stick_origins_torso, BodySurface.of(body))
-        rest, (_, starts, ends) = Figure.of(body.unbent), bend_derivatives(body.unbent)
+            return BodyModel(body.lengths, body.stick_origins_torso, BodySurface.of(body))
+        rest, (_, starts, ends) = BodyModel.of(body.unbent), bend_derivatives(body.unbent)
         surface = rest.surface._replace(
             start=rest.surface.start + starts @ body.bend, end=rest.surface.end + ends @ body.bend
         )
-        return Figure(rest.lengths, body.stick_origins_torso, surface)
+        return BodyModel(rest.lengths, body.stick_origins_torso, surface)
 
 
-class PlacedFigure(NamedTuple):
-    """A figure in a pose, world frame, metres.
+class PosedModel(NamedTuple):
+    """A body's model in a pose, world frame, metres.
 
     t0, R0, RJ, hinges : of the state. G (10, 3, 3) : sticks to world. axes (18, 3) : the joints' axes (tangent slots 6
     to 23). A, B (10, 3) : the sticks' starts and ends. P, Q (k, 3) : the capsules' ends. surface : the capsules in
@@ -87,23 +87,23 @@ class PlacedFigure(NamedTuple):
 
 @njit(cache=True)
 def place(state, figure):
-    """Place a figure in a state; the state's arrays are shared, not copied."""
+    """Pose a body's model; the state's arrays are shared, not copied."""
     G, axes, A, B = kernels.place_sticks(state, figure.lengths, figure.origins)
     P, Q = np.empty(figure.surface.start.shape), np.empty(figure.surface.start.shape)
     place_capsules(figure.surface, G, A, P, Q)
-    return PlacedFigure(state.t0, state.R0, state.RJ, state.hinges, G, axes, A, B, P, Q, figure.surface)
+    return PosedModel(state.t0, state.R0, state.RJ, state.hinges, G, axes, A, B, P, Q, figure.surface)
 
 
 @njit(cache=True)
-def reference_points(placed):
+def reference_points(posed):
     """Return the 15 reference points (15, 3)."""
     points = np.empty((POINTS, 3))
-    kernels.reference_points(placed.A, placed.B, placed.t0, points)
+    kernels.reference_points(posed.A, posed.B, posed.t0, points)
     return points
 
 
 @njit(cache=True, nogil=True)
-def surface_distances(points, placed):
+def surface_distances(points, posed):
     """Compare points (m, 3) with the body's surface.
 
     Returns the nearest capsule (m,), the place along its axis (m,) from 0 to 1, and the signed distance (m,) from its
@@ -112,7 +112,7 @@ def surface_distances(points, placed):
     m = points.shape[0]
     x, y, z = columns(points)
     capsule, along, distance = np.zeros(m, np.int64), np.zeros(m), np.empty(m)
-    nearest_capsule(x, y, z, placed.P, placed.Q, placed.surface.radii, capsule, along, distance)
+    nearest_capsule(x, y, z, posed.P, posed.Q, posed.surface.radii, capsule, along, distance)
     return capsule, along, distance
 
 

@@ -2,13 +2,13 @@
 
 A body of average proportions, as tall as the hull, is fitted from natural postures at every heading, the T-pose among
 them; where it explains too little, a stouter or a slimmer one takes its place if that explains more. The best fits are
-followed from set to set, through gaps; each costs what outlines, by their certainty, hull and joint limits say against
-it (``monitor/evidence.py``). What a single hull leaves open, front or back above all, time decides: knees and elbows
-bend one way, toes lie ahead of the ankles, and whoever walks walks forwards.
+tracked from set to set, through gaps; the cost of each adds up outlines, by their certainty, and joint limits
+(``monitor/evidence.py``). Ambiguities of a single hull, front or back above all, are resolved over time: knees and
+elbows bend one way, toes lie ahead of the ankles, and people walk forwards.
 
-Whoever holds a T-pose, arms and legs within some degrees of one, is followed after a few sets, anybody else after a
-second. Lengths start as people's proportions with their spread (``body_sizes``), which the outlines of a T-pose narrow
-at once; they are learnt while the person moves (``refinement/``).
+A T-pose, arms and legs within some degrees of one, is accepted after a few sets, any other pose after a second. Lengths
+start as people's proportions with their spread (``body_sizes``), which the outlines of a T-pose narrow at once; they
+are refined while the person moves (``refinement/``).
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ from ..monitor.pose_library import (
 )
 from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
-from .pose_hypothesis import T_POSE_RAD, AcquisitionObservation, PoseHypothesis, farthest_stick
+from .pose_hypothesis import T_POSE_RAD, InitializationObservation, PoseHypothesis, farthest_stick
 from .t_pose_sizes import with_t_pose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts, pitch_of, stance_of
 
-# Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
-# right way explains); girths and their shares with walks of the studio's stout people (python bench/people.py
-# --first-pose); times: judgement.
+# Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (by how much poses that face
+# the right way explain more); girths and their shares with walks of the studio's stout people (python
+# bench/people.py --first-pose); times: judgement.
 FEWEST_VOXELS = 200
 STARTS = 12  # natural postures that are fitted at a time
-HYPOTHESES = 5  # hypotheses that are followed
-LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
-PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
-BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
-FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
-SURE_SHARE = 0.03  # so much more of the outlines a pose must explain than any that faces elsewhere
+HYPOTHESES = 5  # hypotheses that are tracked
+LOOK_EVERY_S = 0.25  # between searches for further hypotheses
+PATIENT_S = 3.0  # time for somebody who is partly out of view to step into it
+BENT_WALK_SD_M = 0.015  # of the stature from the hull's crown: walking lowers the crown
+FLOOR_SD_M = 0.03  # of the stature of a body whose feet are not seen: the floor's height
+SURE_SHARE = 0.03  # of the outlines: margin over every pose that faces another way
 GIRTHS, LITTLE_SHARE = (1.0, 1.3, 0.8), 0.7  # over the average: tried where a body of average girth explains less
-BETTER_SHARE = 0.02  # another girth that explains so much more is right
-LEAST_AGREEMENT = 0.5  # of outlines and body: in clutter, torn outlines are no body's, but then all of it is seen
-STILL_M = 0.03  # way of somebody who stands still, over the sets of a T-pose
+BETTER_SHARE = 0.02  # of the outlines: margin that selects another girth
+LEAST_AGREEMENT = 0.5  # of outlines and body (F-measure): torn outlines of clutter agree with no body
+STILL_M = 0.03  # largest movement over the sets of a held T-pose
 LEVEL, LOWERED = "level", "lowered"
 
 
@@ -88,7 +88,7 @@ class MotionSettings:
 
 
 class HullSource:
-    """A first pose of one body, once one hypothesis of some sets in a row is clearly best."""
+    """Finds the first pose of a body: tracks hypotheses until one is clearly best."""
 
     def __init__(
         self,
@@ -97,7 +97,8 @@ class HullSource:
         visibility: RigVisibility | None = None,
         known: Body | None = None,
     ) -> None:
-        """motion : None: of a T-pose alone. visibility : of the rig; None: everything is seen. known : whose it is."""
+        """motion : None accepts a T-pose only. visibility : of the rig; None: everything is seen. known : the body, if
+        its sizes are known."""
         self._t_pose, self._motion, self._visibility, self._known = t_pose, motion, visibility, known
         lowered = {} if t_pose.arms == LEVEL else {"shoulder_x": -np.pi / 4}
         self._asked = angles_of_posture(lowered, lowered)
@@ -105,7 +106,7 @@ class HullSource:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was watched."""
+        """Forget everything."""
         self._girth, self._girth_is_known, self._last_ns = 0, False, 0
         self._watch_anew()
 
@@ -118,7 +119,7 @@ class HullSource:
         self._estimate: BodyEstimate | None = None
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
-        """Return the pose of the best hypothesis once it is clear, or why it is not."""
+        """Return the best hypothesis's pose once it is clearly best, else the reason."""
         voxels = seen.voxels.points_world
         if not 0 <= seen.stamp_ns - self._last_ns <= GONE_AFTER_S * NS_PER_S:
             self.reset()
@@ -137,21 +138,21 @@ class HullSource:
             return InitialPose(reason="no outlines")
         cameras = rays_in_use(rays, self._visibility).camera
         dt_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
-        observed = AcquisitionObservation(
+        observed = InitializationObservation(
             dt_s, body, data, self._settings, cameras, voxels, pitch, stance, cut, self._visibility
         )
-        self._follow(observed)
+        self._update_hypotheses(observed)
         if not self._followed:
             self._began_ns = seen.stamp_ns
         if not self._followed or seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
             self._looked_ns = seen.stamp_ns
-            self._look(observed)
-        return self._answer(observed, (seen.stamp_ns - self._began_ns) / NS_PER_S)
+            self._add_hypotheses(observed)
+        return self._decide(observed, (seen.stamp_ns - self._began_ns) / NS_PER_S)
 
     # --- the body
 
     def _body(self, stance: Stance, cut: tuple[str, ...]) -> Body | None:
-        """Return a body of average proportions, as tall as this one has been; None for a height that nobody has."""
+        """Return a body of average proportions and the height seen so far; None for a height out of range."""
         low, high = self._t_pose.stature_low_m, self._t_pose.stature_high_m
         if self._known is not None:
             return self._known if stance.stature > 0.75 * self._known.stature else None
@@ -170,8 +171,8 @@ class HullSource:
 
     # --- the hypotheses
 
-    def _look(self, seen: AcquisitionObservation) -> None:
-        """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
+    def _add_hypotheses(self, seen: InitializationObservation) -> None:
+        """Fit the best of the natural postures, and add the fits that differ from all hypotheses."""
         body, stance = seen.body, seen.stance
         crown, postures = stance.floor_world + body.stature, (*NATURAL_POSTURES, self._asked)
         guesses = natural_poses(body, stance.place_world, crown, postures)
@@ -195,7 +196,7 @@ class HullSource:
         self._keep_the_best()
 
     def _keep_the_best(self) -> None:
-        """Keep as many hypotheses as can be followed, the best first, one that faces elsewhere among them."""
+        """Keep the HYPOTHESES best, one that faces elsewhere among them."""
         self._followed.sort(key=lambda hypothesis: hypothesis.mean_cost)
         best, rest = self._followed[0], self._followed[HYPOTHESES:]
         elsewhere = [other for other in rest if best.faces_elsewhere(other)]
@@ -206,20 +207,20 @@ class HullSource:
     def _is_new(self, body: Body, pose: Pose) -> bool:
         return all(farthest_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
 
-    def _follow(self, seen: AcquisitionObservation) -> None:
-        """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
+    def _update_hypotheses(self, seen: InitializationObservation) -> None:
+        """Fit every hypothesis to this set; drop those that have converged to a better one."""
         followed, self._followed = self._followed, []
         for hypothesis in followed:
-            hypothesis.follow(seen)
+            hypothesis.update(seen)
         for hypothesis in sorted(followed, key=lambda one: one.mean_cost):
             if self._is_new(seen.body, hypothesis.pose):
                 self._followed.append(hypothesis)
 
     # --- the decision
 
-    def _answer(self, seen: AcquisitionObservation, watched_s: float) -> InitialPose:
-        """Return the best hypothesis if it was watched, or holds a T-pose, explains enough, and no rival faces
-        elsewhere."""
+    def _decide(self, seen: InitializationObservation, watched_s: float) -> InitialPose:
+        """Return the best hypothesis if it holds a T-pose or was watched long enough, explains enough, and no rival
+        faces elsewhere; else the reason."""
         best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
         amiss = self._hold(seen, best.pose)
         held = len(self._held)
@@ -258,15 +259,15 @@ class HullSource:
         self.reset()
         return InitialPose(best.pose, body, "", estimate, is_fitted=True)
 
-    def _best(self, seen: AcquisitionObservation) -> PoseHypothesis:
-        """Return the best hypothesis; one that is hardly worse and holds a T-pose is meant."""
+    def _best(self, seen: InitializationObservation) -> PoseHypothesis:
+        """Return the best hypothesis, or one that holds a T-pose and is hardly worse."""
         best = self._followed[0]
         rivals = [one for one in self._followed if one.mean_cost < best.mean_cost + SURE_SHARE]
         asked = (one for one in rivals if farthest_stick(seen.body, one.pose, self._asked)[1] < T_POSE_RAD)
         return best if seen.cut else next(asked, best)
 
-    def _hold(self, seen: AcquisitionObservation, pose: Pose) -> str:
-        """Count the sets in a row that show the pose that is asked for, held still; return what is amiss."""
+    def _hold(self, seen: InitializationObservation, pose: Pose) -> str:
+        """Count the sets in a row that show the requested pose, held still; return what is wrong with it."""
         stick, off = farthest_stick(seen.body, pose, self._asked)
         if seen.cut or off >= T_POSE_RAD:
             self._held = []
@@ -277,9 +278,9 @@ class HullSource:
             self._held = []
         return f"stand still: moved by {moved_m:.2f} m"
 
-    def _try_girths(self, seen: AcquisitionObservation) -> None:
-        """Take the one of GIRTHS with which the best pose explains clearly most of a set; what it explains and where it
-        is seen then count as if it had been so thick in all sets."""
+    def _try_girths(self, seen: InitializationObservation) -> None:
+        """Choose the one of GIRTHS with which the best pose explains clearly most of a set, and scale the hypotheses'
+        explained and seen shares as if all sets had had it."""
         tried, best_pose = list[PoseHypothesis](), self._followed[0].pose
         for girth in GIRTHS:
             body = seen.body if girth == 1.0 else replace(seen.body, build=build_of_girth(girth))

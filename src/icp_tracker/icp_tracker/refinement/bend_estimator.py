@@ -1,7 +1,7 @@
-"""Follows how the trunk of a tracked body is bent, set after set.
+"""Estimates the bend of a tracked body's trunk, set after set.
 
-Each well explained fit moves the bend by one step (`bend_step`); the next one starts with it. What is known without
-rays is a Gaussian about rest and a random walk from set to set.
+Each well explained fit moves the bend by one step (`bend_step`); the next one starts with it. The prior is a Gaussian
+about rest and a random walk from set to set.
 """
 
 from __future__ import annotations
@@ -11,21 +11,19 @@ import numpy as np
 from capture_rig.stamps import NS
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, bend_step
-from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.posed_model import BodyModel, PoseState
 from stick_figure.pose import Pose
 from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_derivatives
 
 from ..articulated_fit import LONGEST_S, PRIOR, ArticulatedSettings
 from .shape import FARTHEST_SD
 
-# Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation.
-RAYS_OF_A_DATUM = 25.0
-"""Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200
-cells of the body's surface, three of which are one datum (`independent_rows`)."""
+# Thresholds: from the noise model: 1200 rays of about 15000 / m^2 show some 200 cells of the body's surface, three of
+# which are one independent datum of 1 cm (`effective_information`).
+RAYS_OF_A_DATUM = 25.0  # rays of a fit that count as one independent datum
 
 
-class TrunkBend:
+class TrunkBendEstimator:
     """The bend of one body, zero at first."""
 
     def __init__(self, settings: ArticulatedSettings) -> None:
@@ -38,23 +36,23 @@ class TrunkBend:
         return self._bend
 
     def of(self, body: Body) -> Body:
-        """Return a body as its trunk is bent now."""
+        """Return a body with the present bend."""
         if not self._bend.any():
             return body
         if self._bent is None or self._bent.unbent is not body:
             self._bent = body.bent(self._bend)
         return self._bent
 
-    def look(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
-        """Move the bend to where the rays of a fitted set want it, by what they are matched to in the pose."""
+    def update(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
+        """Move the bend by one Gauss-Newton step on the rays of a fitted set, matched in its pose."""
         since_ns, self._stamp_ns = self._stamp_ns, stamp_ns
         if self._settings.contour.rigid or len(rays.information) == 0 or since_ns < 0:
             return
         passed_s = min((stamp_ns - since_ns) * NS, LONGEST_S)
         rest = RAYS_OF_A_DATUM / REST_SD**2
         walk = RAYS_OF_A_DATUM / RATE_SD**2 / max(passed_s, 1e-3)
-        state, figure, derivatives = State(*pose.arrays), Figure.of(self.of(body)), bend_derivatives(body.straight)
-        known = (PRIOR, rest + walk, -rest * self._bend)
-        step = bend_step(rays, match, state, figure, derivatives, *known)
+        state, figure = PoseState(*pose.arrays), BodyModel.of(self.of(body))
+        known = (bend_derivatives(body.straight), PRIOR, rest + walk, -rest * self._bend)
+        step = bend_step(rays, match, state, figure, *known)
         farthest = FARTHEST_SD * REST_SD
         self._bend, self._bent = np.clip(self._bend + step, -farthest, farthest), None

@@ -15,7 +15,7 @@ from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_re
 WHERE = "parameters of the ICP tracker"
 AUTO, T_POSE = "auto", "t_pose"
 HULL_SOURCES = (AUTO, T_POSE)
-"""Sources that look at the hull, of as many persons as there are."""
+"""Sources that use the hull, of any number of persons."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class InitialPoseSettings:
 def make_pose_source(
     settings: InitialPoseSettings, body_file: str = "", visibility: RigVisibility | None = None
 ) -> PoseSource:
-    """Return the source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
+    """Return the source that the settings choose; the body of ``body_file``, if given, replaces that of the source.
 
     ``visibility`` is that of the rig. Raises InputError naming parameter or file, value and remedy.
     """

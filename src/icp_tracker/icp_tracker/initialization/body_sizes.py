@@ -1,4 +1,4 @@
-"""The sizes of a person of whom only the stature is known, and what their uncertainty does to fitted points.
+"""Prior of a person's sizes given the stature, and the covariance of fitted points from uncertain sizes.
 
 Prior: segment lengths over the stature, and how people differ. Means lie between Drillis & Contini 1966 (in Winter,
 fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870, shoulder .818; forearm and hand .254) and the joint
@@ -6,8 +6,8 @@ centres of de Leva 1996 (men, women: vertex to cervicale .140, .140; cervicale t
 .159; forearm and hand .264, .251; thigh .243, .212; shank .253, .253). The upper arm is de Leva's alone: that of
 Drillis & Contini, .186, begins at the acromion, above the joint. Shoulder joints lie medial of the acromia (biacromial
 breadth .259 by Drillis & Contini, about .23 in recent surveys) and hip joints 14 % of the pelvic breadth medial of its
-ends (Bell et al. 1990), of which the surveys' values are smaller too. The spreads hold what people differ by and what
-those sources do.
+ends (Bell et al. 1990), of which the surveys' values are smaller too. The spreads hold the differences of people and
+those of the sources.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def prior_sizes(stature_m: float) -> BodyEstimate:
 
 
 def sizes_of_stature(stature_m: float, sd_m: float) -> BodyEstimate:
-    """Return a person whose stature was seen, to ``sd_m``: proportions spread as people's do, their sum is known."""
+    """Return the sizes of a person of a measured stature, standard deviation ``sd_m``, with people's proportions."""
     wide = np.hypot(sd_m, STATURE_SPREAD_M)
     prior = prior_sizes(stature_m)
     common = np.outer(MEAN_OVER_STATURE, MEAN_OVER_STATURE) * wide**2
@@ -114,12 +114,11 @@ def sizes_of_stature(stature_m: float, sd_m: float) -> BodyEstimate:
     return BodyEstimate(prior.sizes, prior.covariance + common).updated(row, stature_m, sd_m)
 
 
-# --- what uncertain sizes add to the covariance of fitted points
+# --- covariance of fitted points from uncertain sizes
 #
-# A fit puts the figure's surface where the body's is; how far along a stick a joint lies from there is the figure's
-# sizes alone. So a size that is wrong by d moves its own point by d along its own stick. The sticks beyond it are not
-# moved: their surfaces are where the rays show them. Left and right of one size err together; each point's covariance
-# is its own.
+# A fit puts the model's surface on the body's; the place of a joint along its stick depends on the model's sizes alone.
+# So a size that is wrong by d moves its own point by d along its own stick. The sticks beyond it do not move: the rays
+# show their surfaces. Left and right of one size err together; each point's covariance is its own.
 
 # point: sizes that place it in the frame of its stick, each as (coordinate axis, size, share of the size's error); the
 # torso's centre is half its length from either end
@@ -149,7 +148,7 @@ _SHARES = _shares()
 
 
 def covariance_of_sizes(pose: Pose, size_sd_m: np.ndarray) -> np.ndarray:
-    """Return (15, 3, 3) m^2, world frame, of the points of a pose when the sizes (10,) have these deviations, m."""
+    """Return the covariance (15, 3, 3) m^2, world, of a pose's points from the deviations (10,) m of the sizes."""
     variances = _SHARES @ size_sd_m**2
     frames = stick_frames(pose)[POINT_STICK]
     return np.asarray((frames * variances[:, None, :]) @ frames.transpose(0, 2, 1))

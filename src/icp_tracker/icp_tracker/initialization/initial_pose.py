@@ -25,10 +25,10 @@ KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
 
 @dataclass(frozen=True, eq=False)
 class InitialPose:
-    """A first pose with the body it is meant for, or the reason why there is none yet.
+    """A first pose with its body, or the reason why there is none yet.
 
-    estimate : how sure the sizes of ``body`` are, where they were measured. is_fitted : whether the pose has been
-    followed from set to set, and judged by what it explains of their outlines.
+    estimate : the sizes of ``body`` with their covariance, where they were measured. is_fitted : whether the pose was
+    tracked from set to set and judged by their outlines.
     """
 
     pose: Pose | None = None
@@ -39,7 +39,7 @@ class InitialPose:
 
 
 class PoseSource(Protocol):
-    """Looks for a first pose in one frame set after another."""
+    """Finds a first pose in one frame set after another."""
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the first pose, if this frame set brings it."""
@@ -48,7 +48,7 @@ class PoseSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KnownPose:
-    """A pose that was known beforehand."""
+    """A first pose that is given."""
 
     pose: Pose
     body: Body

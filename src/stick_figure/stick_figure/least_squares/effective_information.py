@@ -1,4 +1,4 @@
-"""How well a fit's rows determine the pose when neighbours err alike: the information of the independent ones.
+"""Effective (cluster-robust) information of a fit's rows about the pose, as neighbours' errors are correlated.
 
 A thousand contour rays touch a body, and their residuals are no thousand independent numbers: where the model's surface
 or a silhouette is wrong at one place of a limb, it is wrong for every ray that touches there, from whatever camera and
@@ -9,9 +9,9 @@ chi-square of the method of least squares), pulled towards that of a surface tha
     s^2 = (nu s0^2 + sum over the stick's cells of the mean squared residual) / (nu + cells)
 
 with no residual beyond the robust gate, so that outlines that nothing explains count too. Cells are correlated in turn:
-a limb that is placed wrongly in the model, or is thicker than it, errs in all of them, and three cells are one
-independent datum. A rig that looks from two sides fills the cells of these two sides alone, and leaves the direction
-between them as uncertain as it is. Centerline points share the width of the hull: those of half a stick are one datum.
+a limb whose model is misplaced or too thin errs in all of them, and three cells are one independent datum. A rig that
+looks from two sides fills the cells of these two sides alone, and leaves the direction between them as uncertain as it
+is. Centerline points share the width of the hull: those of half a stick are one datum.
 
 For rows correlated in groups: Liang & Zeger, Biometrika 73 (1986); here the correlation within a group is taken as one.
 """
@@ -24,49 +24,50 @@ from capture_rig.kernel import njit
 
 from .contour_factor import NORMAL, SURFACE_GATE_M
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
-from .placed_figure import STICKS
 from .point_factor import add_point_residuals
+from .posed_model import STICKS
 
-# Thresholds: chosen with covariance_coverage.py among the benches of commit d6079d2.
+# Thresholds: chosen so that 95 % ellipsoids hold the true points of rendered people in 95 % of all sets (`inside_95` of
+# python bench/people.py).
 DIRECTIONS, HALVES = 6, 2
 CELLS = DIRECTIONS * HALVES  # of a capsule, or of the trunk
 CELLS_OF_A_DATUM = 3.0
 SURFACE_SD_M = 0.01  # of the body's surface about the model's, in one cell, where it fits well
-PRIOR_CELLS = 4.0  # that this counts as against the measured ones: a limb shows 4 to 12
+PRIOR_CELLS = 4.0  # weight of SURFACE_SD_M in measured cells; a limb shows 4 to 12
 
 
 @njit(cache=True, nogil=True)
-def add_independent_rows(data, placed, rays_match, points_match, H):
-    """Add to upper H the information of the independent ones among rays and points, with what they were matched to."""
+def add_effective_information(data, posed, rays_match, points_match, H):
+    """Add to upper H the effective information of rays and points, matched as given."""
     g = np.empty(H.shape[0])
-    _add_cells(data.contour_rays, rays_match, placed, H, g)
-    _add_stick_halves(data, placed, points_match, H, g)
+    _add_cells(data.contour_rays, rays_match, posed, H, g)
+    _add_stick_halves(data, posed, points_match, H, g)
 
 
 @njit(cache=True)
-def _add_cells(rays, match, placed, H, g):
-    n, capsules = rays.information.shape[0], placed.P.shape[0]
+def _add_cells(rays, match, posed, H, g):
+    n, capsules = rays.information.shape[0], posed.P.shape[0]
     cell, weight = np.empty(n, np.int64), np.empty(n)
     total, count, squares = np.zeros(capsules * CELLS), np.zeros(capsules * CELLS), np.zeros(capsules * CELLS)
     for i in range(n):
-        c = cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)
+        c = cell_of_ray(posed, match.capsule[i], match.along[i], rays.rows, i)
         ratio = 1.0 + (match.separation[i] / SURFACE_GATE_M) ** 2
         cell[i], weight[i] = c, 1.0 / (ratio * ratio)
         total[c] += weight[i]
         count[c] += 1.0
         squares[c] += min(match.separation[i], SURFACE_GATE_M) ** 2
-    information = _information_of_a_datum(count, squares, placed.surface.stick)
+    information = _information_of_a_datum(count, squares, posed.surface.stick)
     for i in range(n):
         share = weight[i] / max(total[cell[i]], 1.0)
-        weight[i] = share * information[placed.surface.stick[match.capsule[i]]]
+        weight[i] = share * information[posed.surface.stick[match.capsule[i]]]
     sums = no_sums(capsules, ENDS)
     add_to_sums(sums, match.capsule, match.along, rays.rows[NORMAL : NORMAL + 3], weight, match.distance)
-    add_pose_sums(sums, placed, H, g)
+    add_pose_sums(sums, posed, H, g)
 
 
 @njit(cache=True)
 def _information_of_a_datum(count, squares, stick_of_capsule):
-    """Return the information (10,) 1/m^2 of a cell on each stick, from the rays a cell and their squared residuals."""
+    """Return the information (10,) 1/m^2 of a cell of each stick, from each cell's ray count and squared residuals."""
     squared, cells = np.full(STICKS, PRIOR_CELLS * SURFACE_SD_M**2), np.full(STICKS, PRIOR_CELLS)
     for c in range(count.shape[0]):
         if count[c] > 0.0:
@@ -76,23 +77,23 @@ def _information_of_a_datum(count, squares, stick_of_capsule):
 
 
 @njit(cache=True)
-def cell_of_ray(placed, k, along, rows, i):
+def cell_of_ray(posed, k, along, rows, i):
     """Return the cell in which ray i touches capsule k; all capsules of the trunk share theirs."""
-    if placed.surface.stick[k] > 0:
+    if posed.surface.stick[k] > 0:
         part, far = k, along > 0.5
     else:
         height = 0.0
         for axis in range(3):
-            at = placed.P[k, axis] + along * (placed.Q[k, axis] - placed.P[k, axis])
-            height += placed.R0[axis, 2] * (at - placed.t0[axis])
+            at = posed.P[k, axis] + along * (posed.Q[k, axis] - posed.P[k, axis])
+            height += posed.R0[axis, 2] * (at - posed.t0[axis])
         part, far = 0, height > 0.0
-    return (part * HALVES + (1 if far else 0)) * DIRECTIONS + _direction(placed, k, rows, i)
+    return (part * HALVES + (1 if far else 0)) * DIRECTIONS + _direction(posed, k, rows, i)
 
 
 @njit(cache=True)
-def _direction(placed, k, rows, i):
+def _direction(posed, k, rows, i):
     """Return the axis of its capsule's stick that the normal of ray i is nearest to: 0 to 2, opposite 3 to 5."""
-    G, nearest, largest = placed.G[placed.surface.stick[k]], 0, 0.0
+    G, nearest, largest = posed.G[posed.surface.stick[k]], 0, 0.0
     for axis in range(3):
         along = G[0, axis] * rows[0, i] + G[1, axis] * rows[1, i] + G[2, axis] * rows[2, i]
         if abs(along) > largest:
@@ -102,12 +103,12 @@ def _direction(placed, k, rows, i):
 
 
 @njit(cache=True)
-def _add_stick_halves(data, placed, match, H, g):
+def _add_stick_halves(data, posed, match, H, g):
     """Add the points of each half of a stick as one datum of their mean information."""
     total, whole = np.zeros((STICKS, 2)), match.weight.copy()
     for i in range(whole.shape[0]):
         total[match.stick[i], 1 if match.along[i] > 0.5 else 0] += whole[i] / data.information[i]
     for i in range(whole.shape[0]):
         match.weight[i] = whole[i] / max(total[match.stick[i], 1 if match.along[i] > 0.5 else 0], 1.0)
-    add_point_residuals(data.points, match, placed, H, g)
+    add_point_residuals(data.points, match, posed, H, g)
     match.weight[:] = whole
