@@ -22,18 +22,18 @@ from people_doubt import Calls
 from people_makers import Errors, figures
 from people_sets import states_of
 
-from ekf_tracker.track import Track as FilterTrack
+from ekf_tracker.track import BodyTrack
 from icp_tracker.monitor.body_filter import BodyFilter
 from icp_tracker.monitor.track_monitor import TrackMonitor
+from icp_tracker.refinement.bend_estimator import TrunkBendEstimator
 from icp_tracker.refinement.shape import BUILD, ShapePrior
-from icp_tracker.refinement.trunk_bend import TrunkBend
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
 from sagoma_tools.evaluation.in_process import OURS, ablation_rows
 from sagoma_tools.evaluation.scores import LARGE_ERROR_MM
-from stick_figure.least_squares.free_ends import STIFF_SD
+from stick_figure.least_squares.extremities import STIFF_SD
 from stick_figure.least_squares.gauss_newton import Data
 
 LEAST_MM, LEAST_SHARE = 0.5, 0.01
@@ -98,7 +98,7 @@ CHANGES: dict[str, Change] = {
     "fits start from the fit before": Change({"feedback": False}),
     # the body
     "rigid trunk": Change(
-        {"ekf.bend": 0.0}, {REFINER + "REST_SD": np.full(7, A_RIGID_TRUNK)}, ((TrunkBend, "look", nothing),)
+        {"ekf.bend": 0.0}, {REFINER + "REST_SD": np.full(7, A_RIGID_TRUNK)}, ((TrunkBendEstimator, "look", nothing),)
     ),
     "stiff hands and feet": Change(names={FIT + "TURN_SD": STIFF_SD, REFINER + "TURN_SD": STIFF_SD}),
     "average build": Change(
@@ -124,7 +124,7 @@ CHANGES: dict[str, Change] = {
     "no joint limits in the filter": Change({"ekf.limit_sd_rad": 0.0}),
     "no process noise of manoeuvres": Change(names={FILTER + "limbs_beyond_noise": lambda d: np.zeros(24, bool)}),
     "nothing known of a limb is released": Change(
-        methods=((FilterTrack, "_release_limbs", lambda self, prior, anew: prior),)
+        methods=((BodyTrack, "_release_limbs", lambda self, prior, anew: prior),)
     ),
     "every error new in every set": Change({"ekf.measurement_bias.share": 0.0}),
     "joints known for certain": Change({"ekf.measurement_bias.joints": 0.0}),

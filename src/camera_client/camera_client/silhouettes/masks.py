@@ -50,7 +50,7 @@ class Box(NamedTuple):
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     def grown(self, by_px: int, shape: tuple[int, ...], multiple: int = 1) -> Box:
-        """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, but within an image of ``shape``. An empty
+        """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, within an image of ``shape``. An empty
         box stays so."""
         if self.empty:
             return self

@@ -23,7 +23,7 @@ from .limb_search import LimbPlaces
 # Thresholds: chosen with python bench/people.py --doubt on clothed figures before three cameras.
 MEMORY_S = LONGEST_S  # time constant: a body moves by a limb's width in it; newer evidence is correlated
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
-UNFOUND_LOG_PRIOR = 2.5  # of a place that it did not find, as part of the limb hides before the body; bench/people.py --doubt
+UNFOUND_LOG_PRIOR = 2.5  # of a place that it did not find, as part of the limb hides before the body
 SET_NATS = 4.0  # one set in 50 is torn, so none counts more than ln 50 for or against a place
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.50  # probability of another place, or of none
