@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,7 +29,6 @@ from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.health import LOG_EVERY_S
 from sagoma_ros.images import read_support
-from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import HOST, LATENCY_TOPIC, THINNING_TOPIC, read_thinning, to_ns
 from sagoma_ros.middleware import release_free_memory
 from sagoma_ros.node import SagomaNode
@@ -42,8 +40,9 @@ from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer
 from .background.verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .frame_processor import BegunFrame, FrameProcessor, FrameResult, warm_up_silhouettes
+from .frame_processor import FrameProcessor, warm_up_silhouettes
 from .frame_source import POLL_S, REPORT_PERIOD_S, Frame, FrameSource
+from .frame_stages_ros import FrameStages
 from .settings import CameraClientSettings
 from .sources.grab_loop import GrabLoop, GrabState
 from .sources.topic_source_ros import TopicSource
@@ -55,12 +54,6 @@ SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the cli
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 CONSUMER_WAIT_S, CAMERAS_WAIT_S = 5.0, 300.0  # footage waits for somebody who listens; for cameras that are started yet
 SETTLE_S = 4 * POLL_S  # from the first match until both ends of a new connection know each other
-PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
-
-
-Begun = tuple[Frame, BegunFrame, float]
-"""A frame, how far work on it is, and when that began, seconds on the performance counter."""
-Done = tuple[Frame, FrameResult, float]
 
 
 class CameraNode(SagomaNode):
@@ -73,15 +66,11 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self.source: FrameSource | None = None
         self.loop: GrabLoop | None = None
-        self._segmenter: Worker[Begun] | None = None
-        self._outbox: Worker[Done] | None = None
-        self._finish_later: Callable[[Begun], None] = self._finish
-        self._hand_over: Callable[[Done], None] = self._publish
+        self._stages: FrameStages | None = None
         self.processor: FrameProcessor | None = None
         self.trainer = BackgroundTrainer(self._use_background)
         self.selector = FrameSelector()  # which frames the hull server can take
         self._held = ExitStack()  # destroys everything made at configure
-        self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
         self._footage_clock: FootageClockTopic | None = None
         self._awaited = 0  # how many cameras are waited for before it begins
@@ -121,21 +110,15 @@ class CameraNode(SagomaNode):
         self.get_logger().info(f"camera {name}: {self.source.description}")
 
     def activate(self) -> None:
-        assert self.source is not None and self._footage_clock is not None
-        live = self.settings.source != "footage"
+        assert self.source is not None and self.processor is not None and self._footage_clock is not None
+        live, health, logger = self.settings.source != "footage", self.health, self.get_logger()
         self._matched_s = None
-        self._report = CameraReport(self.health, self.get_logger(), self.settings)
-        self._finish_later, self._hand_over = self._finish, self._publish  # footage is sent before more is read
-        if live:
-            lost, failed = partial(self.health.count, "frames_unpublished"), self._on_error
-            self._outbox = Worker("publish", self._publish, PUBLISH_DEPTH, on_drop=lost, on_error=failed)
-            self._hand_over = self._outbox.put
-            self._segmenter = Worker("segment", self._finish, 1, on_drop=lost, on_error=failed)
-            self._finish_later = self._segmenter.put_blocking
+        self._report = CameraReport(health, logger, self.settings)
+        self._stages = FrameStages(self.processor, self._topics, health, logger, self.settings)
         self.loop = GrabLoop(
             self.source,
             self._on_frame,
-            self._on_error,
+            self._stages.note_error,
             ready=lambda: live or self._consumer_listens(),
             ready_timeout_s=0.0 if live else (CAMERAS_WAIT_S if self._awaited else CONSUMER_WAIT_S),
         )
@@ -151,15 +134,13 @@ class CameraNode(SagomaNode):
         if self.loop is not None:
             self.loop.stop()
             self.loop = None
-        for worker in (self._segmenter, self._outbox):
-            if worker is not None:
-                worker.close(finish=True)
-        self._segmenter = self._outbox = None
+        if self._stages is not None:
+            self._stages.close()
         self.trainer.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
         self._held.close()
-        self.processor = self._last = None
+        self.processor = self._stages = None
         if self.source is not None:
             self.source.close()
             self.source = None
@@ -217,55 +198,15 @@ class CameraNode(SagomaNode):
         self._matched_s = self._matched_s or time.monotonic()
         return time.monotonic() >= self._matched_s + SETTLE_S
 
-    # --- one frame, on the grab loop's thread --------------------------------------------------------------------
+    # --- frames, on the grab loop's thread, and what the server says of them ------------------------------------------
 
     def _on_frame(self, frame: Frame) -> None:
-        assert self.processor is not None
-        began_s = time.perf_counter()
+        assert self._stages is not None
         self.trainer.add(frame.image)
-        if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
-            self.health.count("frames_thinned")
-            return
-        self._finish_later((frame, self.processor.begin(frame), began_s))
-
-    # --- ... of a live camera on two others, so that its next frame does not wait for silhouette, encoder, middleware
-
-    def _finish(self, begun: Begun) -> None:
-        assert self.processor is not None
-        frame, work, began_s = begun
-        seen = self.processor.finish(work)
-        self._last = (frame, seen)
-        for flag in seen.flags:
-            self.health.count(f"{flag}_frames")
-        self._hand_over((frame, seen, began_s))
-
-    def _publish(self, done: Done) -> None:
-        frame, seen, began_s = done
-        self._topics.publish_image(frame)
-        if seen.canvas is None:
-            self._topics.publish_uncalibrated(frame)
-        elif seen.silhouette is None:
-            self.health.count("frames_without_background")
-            return
+        if self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
+            self._stages.begin(frame)
         else:
-            self._topics.publish_silhouette(frame, seen, seen.silhouette)
-            for flag in seen.silhouette.flags:
-                self.health.count(f"{flag}_masks")
-        self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
-        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began_s))
-
-    def _stamps_are_now(self) -> bool:
-        """Return whether stamps follow the system clock, so that their age is a latency."""
-        if self.settings.source == "footage":
-            return self.settings.footage.rate == 1.0
-        return self.settings.source != "aravis" or self.settings.aravis.clock_speed == 1.0
-
-    def _on_error(self, error: Exception) -> None:
-        bad_frame = isinstance(error, InputError)
-        self.health.count("bad_frames" if bad_frame else "failed_frames")
-        text = str(error) if bad_frame else f"a frame failed: {error!r}"
-        self.health.set("last_error", text)
-        self.get_logger().error(text, throttle_duration_sec=LOG_EVERY_S)
+            self.health.count("frames_thinned")
 
     def _on_acknowledgement(self, message: DiagnosticArray) -> None:
         if self.source is not None:
@@ -299,17 +240,16 @@ class CameraNode(SagomaNode):
             reason = source.connection.reason if source.connection is not None else ""
             response.message = f"no frames are coming: {reason or 'the camera is away'}"
             return response
-        details = source.details
-        about = {key: details[key] for key in PROVENANCE if key in details}
+        about = {key: source.details[key] for key in PROVENANCE if key in source.details}
         about["created"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         wanted = settings.background_frames, source.description, settings.background_file
         learned = Future()
         try:
             over = self.trainer.begin(*wanted, processor.background, about)
-            over.add_done_callback(lambda over: learned.set_result(over.result()))
         except InputError as error:
             response.message = str(error)
             return response
+        over.add_done_callback(lambda over: learned.set_result(over.result()))
         report = await learned
         response.success, response.message = report.success, report.text
         self.health.set(KEY, report.to_json())
@@ -357,11 +297,11 @@ class CameraNode(SagomaNode):
         return unplaced_camera(self._calibration.name, width, height)
 
     def _on_report(self) -> None:
-        source, loop, processor = self.source, self.loop, self.processor
-        if loop is None or source is None or processor is None:
+        source, loop, processor, stages = self.source, self.loop, self.processor, self._stages
+        if loop is None or source is None or processor is None or stages is None:
             return
         self.health.set(PROGRESS_KEY, self.trainer.progress)
-        self._report.update(processor, source, loop, self._last, placed=self._calibration.placed)
+        self._report.update(processor, source, loop, stages.last, placed=self._calibration.placed)
         connection = source.connection
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
             self.trainer.cancel(f"{loop.state.value} {loop.reason}".strip())

@@ -95,9 +95,8 @@ class ConditionWatch:
         """Add what the silhouette of that frame, the last one that the pipeline segmented, leaves open."""
         labels, unexplained, faint = self._pipeline.labels, 0, None
         if labels is not None:
-            unexplained = cv2.countNonZero(
-                cv2.subtract(labels.foreground, cv2.bitwise_or(labels.person, labels.shadow))
-            )
+            explained = cv2.bitwise_or(labels.person, labels.shadow)
+            unexplained = cv2.countNonZero(cv2.subtract(labels.foreground, explained))
             pixels = cv2.countNonZero(labels.person)
             if self._pipeline.measures_distance and pixels >= PERSON * self._pipeline.looked_at_px:
                 near = cv2.threshold(labels.distance, self._faint_below, 255, cv2.THRESH_BINARY_INV)[1]

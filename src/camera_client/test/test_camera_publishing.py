@@ -4,7 +4,7 @@ import threading
 
 from node_probe import SUCCESS
 
-from camera_client.camera_node import PUBLISH_DEPTH
+from camera_client.frame_stages_ros import PUBLISH_DEPTH
 
 
 class Gate:

@@ -50,8 +50,8 @@ class Box(NamedTuple):
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     def grown(self, by_px: int, shape: tuple[int, ...], multiple: int = 1) -> Box:
-        """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, within an image of ``shape``. An empty
-        box stays so."""
+        """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, but within an image of ``shape``; an
+        empty box stays empty."""
         if self.empty:
             return self
         (top, left), side = (max(self.top - by_px, 0), max(self.left - by_px, 0)), multiple
