@@ -165,11 +165,8 @@ def device() -> str:
 def figures_of(found: dict, auto: str) -> dict[str, float | None]:
     """The figures of the last line that come from the table."""
     row = found[5, 20]
-    ratios = {
-        "numpy_ratio": "plain NumPy",
-        "open3d_ratio": "Open3D carve_silhouette",
-        "sweep_ratio": "the thesis's sweep",
-    }
+    names = "plain NumPy", "Open3D carve_silhouette", "the thesis's sweep"
+    ratios = dict(zip(("numpy_ratio", "open3d_ratio", "sweep_ratio"), names, strict=True))
     figures: dict[str, float | None] = {
         key: round(row[name] / row[auto], 1) if name in row else None for key, name in ratios.items()
     }

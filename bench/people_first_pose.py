@@ -51,10 +51,8 @@ STARTED = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "aut
 
 def of_session(session: Session, exact: bool) -> dict[str, object]:
     """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
-    pipeline, source = (
-        HullPipeline(session.rig, HullSettings(backend="cpu")),
-        HullSource(TPoseSettings(), None, RigVisibility(session.rig)),
-    )
+    pipeline = HullPipeline(session.rig, HullSettings(backend="cpu"))
+    source = HullSource(TPoseSettings(), None, RigVisibility(session.rig))
     points = session.truth.stick_figure_points()
     for frame, frame_masks in enumerate(islice(canvas_masks(session, exact), LONGEST)):
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)

@@ -95,15 +95,13 @@ class Drill:
                 name: disturb(name, moment.t_s, SENSOR.expose(moment.light[name], number, k))
                 for number, name in enumerate(self.names)
             }
-            found = dict(
-                zip((SENT, JUDGED), segment(pipeline, EPOCH_NS + round(moment.t_s * 1e9), images), strict=True)
-            )
+            stages = segment(pipeline, EPOCH_NS + round(moment.t_s * 1e9), images)
+            found = dict(zip((SENT, JUDGED), stages, strict=True))
             for name in watched or self.names:
                 exact = self._views[name].undistort_mask(disturb(name, moment.t_s, moment.truth[name]))
+                truth = np.where(exact > 127, np.uint8(255), np.uint8(0))
                 for stage, masks in found.items():
-                    self.watch.add(
-                        span(moment.t_s), stage, masks[name], np.where(exact > 127, np.uint8(255), np.uint8(0))
-                    )
+                    self.watch.add(span(moment.t_s), stage, masks[name], truth)
             yield moment, found
 
     def scored(
