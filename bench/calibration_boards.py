@@ -1,6 +1,4 @@
-"""How well, how far down and how fast boards are found: renders with known corners, noise of 2.5 grey levels
-(of bench/calibration.py).
-"""
+"""How well, how far down, how fast boards are found in renders, noise of 2.5 grey levels (of bench/calibration.py)."""
 
 from __future__ import annotations
 
@@ -109,12 +107,6 @@ def _rms(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _print(title: str, rows: list[dict]) -> None:
-    table = Table({key: ">14.3f" if isinstance(value, float) else ">14" for key, value in rows[0].items()}, title)
-    for row in rows:
-        table.row(*row.values())
-
-
 def board_figures(quick: bool) -> dict[str, list[dict]]:
     """Print the tables; return them."""
     tables = {
@@ -123,5 +115,8 @@ def board_figures(quick: bool) -> dict[str, list[dict]]:
         "speed": speed(),
     }
     for title, rows in tables.items():
-        _print(title, rows)
+        shown = {key: ">14.3f" if isinstance(value, float) else ">14" for key, value in rows[0].items()}
+        table = Table(shown, title)
+        for row in rows:
+            table.row(*row.values())
     return tables

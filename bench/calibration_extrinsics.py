@@ -124,12 +124,7 @@ def carried_detections(rig: Rig, frames: int, seed: int) -> list[TargetDetection
 
 
 def project(
-    camera: CameraModel,
-    board: Board,
-    T_world_board: np.ndarray,
-    target: str,
-    frame_index: int,
-    rng: np.random.Generator,
+    camera: CameraModel, board: Board, T_world_board: np.ndarray, target: str, frame: int, rng: np.random.Generator
 ) -> TargetDetection | None:
     """The corners with noise; None unless the camera sees the print's front and all of it."""
     points = board.corners_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
@@ -140,7 +135,7 @@ def project(
         return None
     pixels = pixels + NOISE_PX * rng.standard_normal(pixels.shape)
     ids, size = np.arange(len(points)), (camera.width, camera.height)
-    return TargetDetection(camera.name, frame_index, ids, pixels, size, target, NOISE_PX)
+    return TargetDetection(camera.name, frame, ids, pixels, size, target, NOISE_PX)
 
 
 def print_rows(rows: list[ExtrinsicRow]) -> None:

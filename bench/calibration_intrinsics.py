@@ -1,7 +1,4 @@
-"""Intrinsics of the studio's lenses from corners with known noise.
-
-Used by bench/calibration.py.
-"""
+"""Intrinsics of the studio's lenses from corners with known noise (of bench/calibration.py)."""
 
 from __future__ import annotations
 
@@ -24,6 +21,7 @@ BOARD = Checkerboard(9, 6, (0.04, 0.04))
 VIEWS = 60
 EDGE_PX = 4
 TILT_DEG, ROLL_RAD = 50.0, 0.6
+SHOWN = {"rms_px": 1, "focal_error": 100, "sd_focal": 100, "centre_error_px": 1, "largest_sds": 1}  # and what times
 SIZES = (0.35, 0.75)  # the board's diagonal in the image's width
 
 
@@ -114,11 +112,7 @@ def print_rows(rows: list[Row]) -> None:
             noise,
             len(some),
             some[0].views,
-            max(row.rms_px for row in some),
-            100 * max(row.focal_error for row in some),
-            100 * max(row.sd_focal for row in some),
-            max(row.centre_error_px for row in some),
-            max(row.largest_sds for row in some),
+            *(by * max(getattr(row, key) for row in some) for key, by in SHOWN.items()),
             rms_sds(some),
             np.mean([row.seconds for row in some]),
             " " + ", ".join(sorted({row.verdict for row in some})),

@@ -103,12 +103,6 @@ def _turn(K: np.ndarray, rng: np.random.Generator, degrees: float) -> Callable[[
     return lambda mask: cv2.warpPerspective(mask, H, mask.shape[::-1], flags=cv2.INTER_NEAREST)
 
 
-def falsified(clip: Clip, frame: int, camera: str, fault: Callable[[Mask], Mask]) -> dict[str, Mask]:
-    """The masks of one frame set, one camera's with a fault."""
-    masks = clip.masks(frame)
-    return masks | {camera: fault(masks[camera])}
-
-
 # --- drills
 
 
@@ -125,21 +119,19 @@ class Drill:
     extra: float = 0.0
 
 
-def detector_of(clip: Clip, views: RigViews) -> CameraFaultDetector:
-    """A fresh one, with default settings."""
-    return CameraFaultDetector(clip.rig, views, CameraFaultSettings())
-
-
 def drill(
-    clip: Clip, detector: CameraFaultDetector, carver: CarveBackend, faulty: str, fault: Fault, rng: np.random.Generator
+    clip: Clip, views: RigViews, carver: CarveBackend, faulty: str, fault: Fault, rng: np.random.Generator
 ) -> Drill:
     """Sound, faulty, sound again."""
     result, start = Drill(), START + 17 * clip.rig.names.index(faulty)  # another instant for every camera
+    detector = CameraFaultDetector(clip.rig, views, CameraFaultSettings())
     becomes = fault(clip.mask(start + SOUND - 1, faulty), rng)
     for frame in range(SOUND + FAULTY + AFTER):
         since = frame - SOUND
         is_faulty = 0 <= since < FAULTY
-        masks = falsified(clip, start + frame, faulty, becomes) if is_faulty else clip.masks(start + frame)
+        masks = dict(clip.masks(start + frame))
+        if is_faulty:
+            masks[faulty] = becomes(masks[faulty])
         verdict = detector.update(masks, round(frame / FPS * 1e9))
         result.wrong |= {name for name in verdict.left_out + verdict.suspects if name != faulty}
         if since >= 0 and result.named is None and faulty in verdict.left_out + verdict.suspects:
@@ -168,8 +160,9 @@ def _compare(
     result.extra += np.count_nonzero(mended & ~truth) * litres / 3
 
 
-def without_fault(clip: Clip, detector: CameraFaultDetector, sets: int = 10**6) -> tuple[int, list[float], list[float]]:
+def without_fault(clip: Clip, views: RigViews, sets: int = 10**6) -> tuple[int, list[float], list[float]]:
     """The clip as it is: frame sets with a camera named, and milliseconds of those evaluated and of all."""
+    detector = CameraFaultDetector(clip.rig, views, CameraFaultSettings())
     alarms, update_ms, all_ms = 0, [], []
     for frame in range(min(len(clip), sets)):
         masks = clip.masks(frame)
@@ -193,7 +186,7 @@ def play(clip: Clip, views: RigViews, carver: CarveBackend, quick: bool) -> dict
         for camera in clip.rig.names[:: 3 if quick else 1]:
             fault = faults(clip.rig.camera(camera).undistorted_view().camera.K)[kind]
             for _ in range(TURNS if kind.startswith("turned") else 1):
-                drills[kind].append(drill(clip, detector_of(clip, views), carver, camera, fault, rng))
+                drills[kind].append(drill(clip, views, carver, camera, fault, rng))
         table.row(kind, *cells(drills[kind]))
     return drills
 
@@ -243,8 +236,8 @@ def main() -> None:
     for clip in clips(options.quick, options.only):
         views, cameras = RigViews.from_rig(clip.rig), len(clip.rig.names)
         carver = make_backend("cpu", views, VoxelGrid.covering(clip.rig.volume, VOXEL_M))[0]
-        without_fault(clip, detector_of(clip, views), 30)  # compiles
-        false, evaluated, spent = without_fault(clip, detector_of(clip, views))
+        without_fault(clip, views, 30)  # compiles
+        false, evaluated, spent = without_fault(clip, views)
         print(
             f"\n{clip.name}: {len(spent)} sound frame sets of {cameras} cameras, {false} false alarms; "
             f"{np.median(evaluated):.2f} ms an evaluation, {np.mean(spent):.2f} ms a frame set"

@@ -102,9 +102,7 @@ def footage_of(studio: Studio) -> Footage:
     watches = {
         camera.name: CameraMovedDetector(camera, chains[camera.name].background) for camera in studio.rig.cameras
     }
-    pictures: list[dict[str, Mask]] = []
-    ours: list[Masks] = []
-    exact: list[Masks] = []
+    pictures, ours, exact = list[dict[str, Mask]](), list[Masks](), list[Masks]()
     alarms, spent_s = 0, 0.0
     for frame in range(len(studio.capsules)):
         shot = {camera.name: studio.film(camera, frame) for camera in studio.rig.cameras}

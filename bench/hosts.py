@@ -176,8 +176,7 @@ def main(arguments: Any) -> dict[str, Any]:
         return hosts_clients.main(arguments, chosen(arguments, hosts_clients.CONDITIONS))
     table = Table(
         "condition:<28 | complete:>9.1% | formed:>8.1% | p50 ms:>8.1f | p95 ms:>8.1f | spread ms:>9.1f "
-        "| noticed s:>9.1f | recovered s:>11.1f | hull cpu:>8.2f | sender cpu:>10.2f",
-        markdown=arguments.markdown,
+        "| noticed s:>9.1f | recovered s:>11.1f | hull cpu:>8.2f | sender cpu:>10.2f"
     )
     rows: list[Row] = []
     with running(arguments) as drill:
@@ -214,7 +213,6 @@ def arguments_of(words: Sequence[str]) -> Any:
     given.add_argument("--peers", action="store_true", help="a network without multicast, addresses given")
     given.add_argument("--resend", action="store_true", help="the hull server asks for silhouettes that got lost")
     given.add_argument("--seed", type=int, default=0, help="of the packets' fates")
-    given.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     arguments = given.parse_args(words)
     arguments.seconds = arguments.seconds or (QUICK_S if arguments.quick else SECONDS)
     arguments.hz = arguments.hz or (hosts_clients.CLIENT_HZ if arguments.clients else HZ)

@@ -274,7 +274,7 @@ def main(arguments: Any, names: list[str]) -> dict[str, Any]:
     """Run the conditions of these names one after the other."""
     columns = "condition:<28 | complete:>9.1% | formed:>8.1% | p50 ms:>7.1f | p95 ms:>7.1f | answer p50:>10.1f "
     columns += "| answer p95:>10.1f | tracked:>8.1% | error mm:>9.1f | noticed s:>9.1f | recovered s:>11.1f "
-    table = Table(columns + "| hull server says:<20 | the doctor finds:<20", markdown=arguments.markdown)
+    table = Table(columns + "| hull server says:<20 | the doctor finds:<20")
     rows: list[ClientRow] = []
     with running(arguments) as drill:
         for name in names:

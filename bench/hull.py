@@ -1,7 +1,7 @@
 """Times the hull server's core, silhouettes in to centerline points out, against other ways to carve.
 
     python bench/hull.py --quick                 # under a minute
-    python bench/hull.py [--plot FILE.png]       # 5 and 8 cameras, 40 to 5 mm, all methods (more: live.py --scaling)
+    python bench/hull.py                         # 5 and 8 cameras, 40 to 5 mm, all methods (more: live.py --scaling)
 
 All methods take turns on the same frames in one process; a cell is the median of its times in ms, "x" its ratio to
 ours on the CPU. A method that would take longer than --limit seconds a frame is left out of the finer grids. The scene
@@ -9,7 +9,7 @@ is the virtual studio's: a body in several poses, exact silhouettes, 640 x 480 c
 2.5 x 2.5 x 2.2 m. Ours goes all the way to filtered points; the others stop at occupied voxels.
 
 It needs neither ROS nor a window: numpy, scipy, opencv-python-headless, PyYAML and numba; PyOpenGL for OpenGL, open3d
-for its row, matplotlib for --plot. The last line is JSON:
+for its row. The last line is JSON:
 
 numpy_ratio, open3d_ratio, sweep_ratio : time of the method over ours, 5 cameras, 20 mm; null where it cannot run.
 points_20mm_8cam_ms, points_10mm_5cam_ms : silhouettes -> filtered points with the backend that auto takes, one set
@@ -24,7 +24,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from report import Table, execute, finish, machine_line, parser
 
@@ -148,54 +147,26 @@ def exponent(found: dict) -> float:
     return round(-float(np.polyfit(np.log(sizes_mm), np.log(ms), 1)[0]), 2)
 
 
-def plot(found: dict, path: Path) -> None:
-    """Time over voxel size, a line a method, 5 cameras."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(7.5, 5), layout="constrained")
-    for name in [*OURS, *BASELINES]:
-        cells = sorted((mm, row[name]) for (cameras, mm), row in found.items() if cameras == 5 and name in row)
-        axes.loglog(*zip(*cells, strict=True), "o-" if name in OURS else "s--", label=name)
-    ticks = sorted({mm for _, mm in found})
-    axes.set(
-        xticks=ticks,
-        xticklabels=[str(t) for t in ticks],
-        xlabel="voxel, mm",
-        ylabel="one frame set, ms",
-        title="silhouettes of 5 cameras to points (ours) or voxels (the others)",
-    )
-    axes.axhline(10, color="grey", lw=0.8)
-    axes.text(ticks[0], 10.5, "100 frame sets a second", ha="right", color="grey", fontsize=8)
-    axes.minorticks_off()
-    axes.invert_xaxis()
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.savefig(path, dpi=110)
-    print(f"drew {path}")
+def opened(kind: str) -> CarveBackend:
+    """A backend, opened and closed again. Raises InputError where this machine has none of the kind."""
+    backend = make_backend(kind, RigViews.from_rig(scene(5, 2)[0]), VoxelGrid.covering(VOLUME, 0.1))[0]
+    backend.close()
+    return backend
 
 
 def device() -> str:
     """The OpenGL device, for people."""
-    rig, _ = scene(5, 2)
     try:
-        backend = make_backend("gl", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1))[0]
+        return str(opened("gl").device)
     except InputError as error:
         return f"none ({error})"
-    backend.close()
-    return backend.device
 
 
 def figures_of(found: dict, auto: str) -> dict[str, float | None]:
     """The figures of the last line that come from the table."""
     row = found[5, 20]
-    ratios = {
-        "numpy_ratio": "plain NumPy",
-        "open3d_ratio": "Open3D carve_silhouette",
-        "sweep_ratio": "the thesis's sweep",
-    }
+    names = "plain NumPy", "Open3D carve_silhouette", "the thesis's sweep"
+    ratios = dict(zip(("numpy_ratio", "open3d_ratio", "sweep_ratio"), names, strict=True))
     figures: dict[str, float | None] = {
         key: round(row[name] / row[auto], 1) if name in row else None for key, name in ratios.items()
     }
@@ -210,7 +181,6 @@ def figures_of(found: dict, auto: str) -> dict[str, float | None]:
 
 def main() -> None:
     given = parser(__doc__, quick="three configurations and the exactness, nothing else")
-    given.add_argument("--plot", type=Path, help="draw the table to this file")
     given.add_argument("--limit", type=float, default=20.0, help="seconds a frame that a method may take")
     arguments = given.parse_args()
     versions = ", ".join(f"{module.__name__} {module.__version__}" for module in (np, cv2))
@@ -220,21 +190,11 @@ def main() -> None:
     else:
         sizes_mm = (40, 25, 20, 15, 10, 5)
         found = table([(n, mm) for n in (5, 8) for mm in sizes_mm], poses=8, budget_s=6.0, limit_s=arguments.limit)
-    auto = "ours, OpenGL" if auto_is_gl() else BASE
+    auto = "ours, OpenGL" if opened("auto").name == "gl" else BASE  # only on hardware
     figures = figures_of(found, auto) | {"voxel_disagreement": disagreement(2 if arguments.quick else 8)}
     if not arguments.quick:
         figures["exponent"] = exponent(found)
-    if arguments.plot:
-        plot(found, arguments.plot)
     finish(figures)
-
-
-def auto_is_gl() -> bool:
-    """Whether auto takes OpenGL here: only on hardware."""
-    rig, _ = scene(5, 2)
-    backend = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1))[0]
-    backend.close()
-    return backend.name == "gl"
 
 
 if __name__ == "__main__":

@@ -46,9 +46,7 @@ from sagoma_tools.arguments import parse_settings
 SESSION = "walk_ring5top"
 BEFORE = "c7539e6"  # three processes, every message converted, before the server was made to hold full rate
 STUDIO_S = 4.0
-FEWER_CAMERAS = {
-    "hull_server.min_seeing": 4
-}  # as of all six: with three of five, SESSION's T-pose has a ghost beside it
+FEWER_CAMERAS = {"hull_server.min_seeing": 4}  # as of all six: with three of five, a ghost stands beside the T-pose
 FIRST_DOMAIN = 90  # of the servers; beside another bench, give --domain
 CLIENTS, CLIENT_FPS, CLIENT_S = 2, 60.0, 10.0
 QUICK_S, QUICK_TURNS = 10.0, 2

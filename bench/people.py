@@ -21,8 +21,7 @@ of errors inside the track's own 95 % ellipsoids, all and of the worst point; pr
 (with the start, and compiled code that is loaded in the first sets); identity switches and tracks of nobody where there
 are several persons (all persons' together; below, each person's mean error and ms a set by the number of persons). A
 second table holds the covariances point by point over all sets. The last line is JSON.
-Each study says in its module what its columns are: people_ablation.py, people_doubt.py, people_makers.py,
-people_studies.py, people_first_pose.py.
+Each study says where it is made what its columns are: people_ablation.py, people_studies.py, people_first_pose.py.
 """
 
 from __future__ import annotations
@@ -37,11 +36,9 @@ from report import Table, add_settings, execute, finish, parser
 import numpy as np
 from clips import Recorded
 from people_ablation import ablation
-from people_doubt import doubt
 from people_first_pose import first_pose
-from people_makers import makers
 from people_sets import KEPT, Followed, followed, recorded
-from people_studies import fast_motion, smoothed
+from people_studies import doubt, fast_motion, makers, smoothed
 from scenes import inside_volume
 
 from capture_rig.session import Truth

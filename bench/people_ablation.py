@@ -18,14 +18,9 @@ from report import Table
 
 import numpy as np
 from clips import Recorded
-from people_doubt import Calls
-from people_makers import Errors, figures
 from people_sets import states_of
+from people_studies import Calls, Errors, figures
 
-from ekf_tracker.track import BodyTrack
-from icp_tracker.monitor.body_filter import BodyFilter
-from icp_tracker.monitor.track_monitor import TrackMonitor
-from icp_tracker.refinement.bend_estimator import TrunkBendEstimator
 from icp_tracker.refinement.shape import BUILD, ShapePrior
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
@@ -39,20 +34,19 @@ from stick_figure.least_squares.gauss_newton import Data
 LEAST_MM, LEAST_SHARE = 0.5, 0.01
 """What a part has to bring in some column to be worth its code."""
 KEYS = ("mean_mm", "without_offset_mm", "over_200mm", "tracked", "inside_95")
-TRACKER, FILTER = "icp_tracker.tracker.", "ekf_tracker.track."
-MONITOR, FIT, REFINER = "icp_tracker.monitor.", "icp_tracker.articulated_fit.", "icp_tracker.refinement.body_refiner."
-SOURCE = "icp_tracker.acquisition.hull_source."
-A_RIGID_TRUNK = 1e-6  # rad and m that it bends by
+FIT, MONITOR, FILTER = "icp_tracker.articulated_fit.", "icp_tracker.monitor.", "ekf_tracker.track."
+TRACKER, REFINEMENT = "icp_tracker.tracker.IcpTracker.", "icp_tracker.refinement."
+SOURCE, TRACK_MONITOR = "icp_tracker.initialization.hull_source.", MONITOR + "track_monitor.TrackMonitor."
+RIGID_TRUNK_SD = np.full(7, 1e-6)  # rad and m that it bends by
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a row changes: fields of the configuration by dotted name, not all of them parameters; names in modules, or
-    of methods, and what replaces them; blind : without what the rig does not show."""
+    """What a row changes: fields of the configuration by dotted name, not all of them parameters; names in modules and
+    classes, and what replaces them; blind : without what the rig does not show."""
 
     fields: Mapping[str, object] = field(default_factory=dict)
     names: Mapping[str, object] = field(default_factory=dict)
-    methods: tuple[tuple[type, str, object], ...] = ()
     blind: bool = False
 
 
@@ -73,7 +67,7 @@ def lengths_as_measured(self: IcpTracker, found: Any, make: Any = IcpTracker._ne
     return make(self, replace(found, estimate=None))
 
 
-def same_quality(self: BodyFilter, quality: Any) -> Any:
+def same_quality(self: object, quality: Any) -> Any:
     """Return the quality as it was."""
     return quality
 
@@ -82,53 +76,51 @@ def nothing(*_: Any, **__: Any) -> None:
     """Do nothing, find nothing."""
 
 
-NO_LIMBS = ((TrackMonitor, "_update_limbs", nothing),)
-NO_BODY_FILTER = (
-    (TrackMonitor, "_changed_body", nothing),
-    (BodyFilter, "with_other", same_quality),
-    (BodyFilter, "with_misfit", same_quality),
-)
+MISFIT = {MONITOR + "body_filter.BodyFilter.with_misfit": same_quality}
+NO_BODY_FILTER = MISFIT | {
+    MONITOR + "body_filter.BodyFilter.with_other": same_quality,
+    TRACK_MONITOR + "_changed_body": nothing,
+}
+NO_TRUNK = {REFINEMENT + "bend_estimator.TrunkBendEstimator.observe": nothing, REFINEMENT + "body_refiner.REST_SD": RIGID_TRUNK_SD}
+NO_ENDS = {FIT + "TURN_SD": STIFF_SD, REFINEMENT + "body_refiner.TURN_SD": STIFF_SD}
+ONE_GIRTH = {SOURCE + "LITTLE_SHARE": 0.0}
 CHANGES: dict[str, Change] = {
     # the data and what they are compared with
-    "without the centerline (slices)": Change(methods=((IcpTracker, "_data", without_centerline),)),
+    "without the centerline (slices)": Change(names={TRACKER + "_data": without_centerline}),
     "without the hull's surface": Change({"icp.articulated.volume.weight": 0.0}),
     "without contour rays": Change({"icp.articulated.contour.weight": 0.0}),
     "without what the rig cannot show": Change(blind=True),
     "loose prior of the fit": Change({"icp.articulated.prior": 4.0}),
     "fits start from the fit before": Change({"feedback": False}),
     # the body
-    "rigid trunk": Change(
-        {"ekf.bend": 0.0}, {REFINER + "REST_SD": np.full(7, A_RIGID_TRUNK)}, ((TrunkBendEstimator, "look", nothing),)
-    ),
-    "stiff hands and feet": Change(names={FIT + "TURN_SD": STIFF_SD, REFINER + "TURN_SD": STIFF_SD}),
-    "average build": Change(
-        names={SOURCE + "LITTLE_SHARE": 0.0}, methods=((ShapePrior, "of", staticmethod(average_build)),)
-    ),
+    "rigid trunk": Change({"ekf.bend": 0.0}, NO_TRUNK),
+    "stiff hands and feet": Change(names=NO_ENDS),
+    "average build": Change(names=ONE_GIRTH | {REFINEMENT + "shape.ShapePrior.of": staticmethod(average_build)}),
     "joint centres of the figure": Change(names={FIT + "with_joint_centres": lambda body, pose, points: points}),
     "no refinement of lengths and build": Change({"icp.refinement.keyframes": 0}),
-    "lengths as measured at first": Change(methods=((IcpTracker, "_new_refiner", lengths_as_measured),)),
+    "lengths as measured at first": Change(names={TRACKER + "_new_refiner": lengths_as_measured}),
     # the first pose
     "first pose: no sizes of the T-pose": Change(names={SOURCE + "with_t_pose": lambda estimate, *_: estimate}),
-    "first pose: one girth": Change(names={SOURCE + "LITTLE_SHARE": 0.0}),
+    "first pose: one girth": Change(names=ONE_GIRTH),
     # the monitor
     "no search for poses of limbs and body": Change({"icp.recovery.search": False}),
-    "no limb search and limb filter": Change(methods=NO_LIMBS),
-    "no body filter": Change(methods=NO_BODY_FILTER),
+    "no limb search and limb filter": Change(names={TRACK_MONITOR + "_update_limbs": nothing}),
+    "no body filter": Change(names=NO_BODY_FILTER),
     "limb and body filter without memory": Change(names={MONITOR + "limb_filter.MEMORY_S": 1e-9}),
     "a limb not found is never doubted": Change(names={MONITOR + "limb_filter.UNFOUND_LOG_PRIOR": -1e3}),
-    "a body that explains little is not doubted": Change(methods=((BodyFilter, "with_misfit", same_quality),)),
-    "doubt does not widen covariances": Change(methods=((TrackMonitor, "_spread", nothing),)),
-    "unseen hands and feet are measured": Change(methods=((TrackMonitor, "_unseen_points", nothing),)),
+    "a body that explains little is not doubted": Change(names=MISFIT),
+    "doubt does not widen covariances": Change(names={TRACK_MONITOR + "_spread": nothing}),
+    "unseen hands and feet are measured": Change(names={TRACK_MONITOR + "_unseen_points": nothing}),
     # the filter
     "identity model": Change({"ekf.motion_model": "identity"}),
     "no joint limits in the filter": Change({"ekf.limit_sd_rad": 0.0}),
     "no process noise of manoeuvres": Change(names={FILTER + "limbs_beyond_noise": lambda d: np.zeros(24, bool)}),
     "nothing known of a limb is released": Change(
-        methods=((BodyTrack, "_release_limbs", lambda self, prior, anew: prior),)
+        names={FILTER + "BodyTrack._release_limbs": lambda self, prior, anew: prior}
     ),
     "every error new in every set": Change({"ekf.measurement_bias.share": 0.0}),
     "joints known for certain": Change({"ekf.measurement_bias.joints": 0.0}),
-    "sizes known for certain": Change(methods=((IcpTracker, "_with_sizes", lambda self, fit: fit.covariance),)),
+    "sizes known for certain": Change(names={TRACKER + "_with_sizes": lambda self, fit: fit.covariance}),
     # no part: what chance makes of the same tracker
     "control: limbs are searched in another order": Change(
         names={MONITOR + "track_monitor.LIMB_TURNS": (1, 0, 3, 1, 0, 2)}
@@ -198,8 +190,6 @@ def judged(what: Recorded, configuration: Configuration, change: Change) -> tupl
     with ExitStack() as replaced:
         for name, value in change.names.items():
             replaced.enter_context(patch(name, value))
-        for owner, name, value in change.methods:
-            replaced.enter_context(patch.object(owner, name, value))
         states = states_of(what, TrackingStage.of(configuration, None if change.blind else what.rig))
     return Errors.of_states(what, states), Calls.of_states(what, states)
 

@@ -21,14 +21,7 @@ from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.initialization.body_sizes import (
-    ANKLE,
-    MEAN_OVER_STATURE,
-    SIZES,
-    BodyEstimate,
-    body_of_sizes,
-    sizes_of_body,
-)
+from icp_tracker.initialization.body_sizes import ANKLE, MEAN_OVER_STATURE, SIZES, body_of_sizes, sizes_of_body
 from icp_tracker.initialization.hull_source import HullSource, TPoseSettings
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
@@ -58,33 +51,27 @@ STARTED = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "aut
 
 def of_session(session: Session, exact: bool) -> dict[str, object]:
     """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
-    pipeline, source = (
-        HullPipeline(session.rig, HullSettings(backend="cpu")),
-        HullSource(TPoseSettings(), None, RigVisibility(session.rig)),
-    )
+    pipeline = HullPipeline(session.rig, HullSettings(backend="cpu"))
+    source = HullSource(TPoseSettings(), None, RigVisibility(session.rig))
     points = session.truth.stick_figure_points()
     for frame, frame_masks in enumerate(islice(canvas_masks(session, exact), LONGEST)):
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
         answer = source.find_pose(pipeline.run(FrameSet.of_instant(stamp_ns, frame_masks)).products)
         if answer.pose is not None:
-            truth = points[frame]
-            left = truth[3] - truth[4]
-            found = forward(answer.body, answer.pose)
+            truth, found = points[frame], forward(answer.body, answer.pose)
+            (x, y), across = (truth[3] - truth[4])[:2], (found[3] - found[4])[:2]  # from shoulder to shoulder
+            off_rad = np.arctan2(across @ [y, -x], across @ [x, y])
             return {
                 "sets": frame + 1,
-                "sizes_mm": errors_mm(answer.estimate, sizes_of_body(Body.from_points(points))),
+                "sizes_mm": mm(answer.estimate.sizes - sizes_of_body(Body.from_points(points))),
                 "points_mm": round(1e3 * float(np.linalg.norm(found - truth, axis=1).mean()), 1),
-                "heading_deg": round(float(np.degrees(angle(found[3] - found[4], left))), 1),
+                "heading_deg": round(float(np.degrees(off_rad)), 1),
             }
     return {"sets": None, "reason": answer.reason}
 
 
-def errors_mm(estimate: BodyEstimate, truth: np.ndarray) -> list[float]:
-    return [round(1e3 * float(error), 1) for error in estimate.sizes - truth]
-
-
-def angle(first: np.ndarray, second: np.ndarray) -> float:
-    return float(np.arctan2(first[0] * second[1] - first[1] * second[0], first[:2] @ second[:2]))
+def mm(metres: np.ndarray) -> list[float]:
+    return list(np.round(1e3 * metres, 1).tolist())
 
 
 def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
@@ -105,8 +92,8 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
         "found": len(errors),
         "refused": refused,
         "back_to_front": backward,
-        "mean_mm": np.round(1e3 * np.mean(errors, axis=0), 1).tolist(),
-        "rms_mm": np.round(1e3 * np.sqrt(np.mean(np.square(errors), axis=0)), 1).tolist(),
+        "mean_mm": mm(np.mean(errors, axis=0)),
+        "rms_mm": mm(np.sqrt(np.mean(np.square(errors), axis=0))),
         "rms_over_sd": np.round(np.sqrt(np.mean(np.square(claims), axis=0)), 2).tolist(),
     }
 

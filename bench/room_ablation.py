@@ -29,6 +29,8 @@ from camera_client.silhouettes.masks import majority
 from capture_rig.errors import InputError
 from capture_rig.session import Session
 from capture_rig.video import Video
+from hull_server.consistency.occluders import OccluderMap
+from hull_server.floor_shadows import ShadowResolver
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_bringup.launch_arguments import start_settings
@@ -59,6 +61,15 @@ def each_pixel(self: EvidenceFilter, distance: Any, *_: Any) -> Any:
     return majority(np.where(distance > SCALE * CLEAR2, np.uint8(255), np.uint8(0)), 5)
 
 
+def nothing(*_: Any) -> None:
+    """Do nothing, know nothing."""
+
+
+def as_it_is(self: Any, given: Any, *_: Any) -> Any:
+    """Change nothing."""
+    return given
+
+
 ROWS = (
     Row("everything"),
     Row("without following the light", replaced=patch.object(LightEstimator, "update", no_light)),
@@ -74,6 +85,11 @@ ROWS = (
     Row("without things moved", {CAMERAS + "background_model.moved_things": False}),
     Row("without shadow tests", {CAMERAS + "silhouette.shadow": "keep"}),
     Row("without trimming the outline", {CAMERAS + "silhouette.outline_contrast": 0.0}),
+    Row("without codec errors", replaced=patch("camera_client.silhouettes.pipeline.codec_error_sigma", nothing)),
+    Row("without the others' support", replaced=patch.object(MocapPipeline, "report_support", nothing)),
+    Row("without occluders", replaced=patch.object(OccluderMap, "applied", as_it_is)),
+    Row("without shadows in the hull", replaced=patch.object(ShadowResolver, "without_shadows", as_it_is)),
+    Row("without leaving out cameras", {"hull_server.camera_fault.enabled": False}),
     Row("the thesis's rule", {CAMERAS + "background_model.rule": "tail"}),
 )
 

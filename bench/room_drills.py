@@ -95,16 +95,22 @@ class Drill:
                 name: disturb(name, moment.t_s, SENSOR.expose(moment.light[name], number, k))
                 for number, name in enumerate(self.names)
             }
-            found = dict(
-                zip((SENT, JUDGED), segment(pipeline, EPOCH_NS + round(moment.t_s * 1e9), images), strict=True)
-            )
+            stages = segment(pipeline, EPOCH_NS + round(moment.t_s * 1e9), images)
+            found = dict(zip((SENT, JUDGED), stages, strict=True))
             for name in watched or self.names:
                 exact = self._views[name].undistort_mask(disturb(name, moment.t_s, moment.truth[name]))
+                truth = np.where(exact > 127, np.uint8(255), np.uint8(0))
                 for stage, masks in found.items():
-                    self.watch.add(
-                        span(moment.t_s), stage, masks[name], np.where(exact > 127, np.uint8(255), np.uint8(0))
-                    )
+                    self.watch.add(span(moment.t_s), stage, masks[name], truth)
             yield moment, found
+
+    def scored(
+        self, moments: Iterable[Moment], edges: tuple[float, ...], names: tuple[str, ...], *how: Any
+    ) -> dict[str, dict[str, dict[str, float]]]:
+        """Run, and return the scores of every stage between two edges (s), by the names of these spans."""
+        for _ in self.run(moments, lambda t_s: _span(t_s, edges, names), *how):
+            pass
+        return {name: {stage: self.watch.of(name, stage) for stage in (SENT, JUDGED)} for name in names}
 
     def walk(self, seconds: float, hz: float = DRILL_HZ) -> Iterator[Moment]:
         """Yield the person walking."""
@@ -170,9 +176,7 @@ def lamp(look: Look) -> dict[str, Any]:
     drill, edges = Drill(look), (0.0, 4.0, 4.5, 9.0, 9.5, 13.0)
     names = ("before", "half a second on", "on", "half a second off", "off")
     moments = (drill.lit(m, 0.0, LAMP if 4.0 <= m.t_s < 9.0 else 0.0) for m in drill.walk(13.0))
-    for _ in drill.run(moments, lambda t_s: _span(t_s, edges, names)):
-        pass
-    return {name: {stage: drill.watch.of(name, stage) for stage in (SENT, JUDGED)} for name in names}
+    return drill.scored(moments, edges, names)
 
 
 def door(look: Look) -> dict[str, Any]:
@@ -193,9 +197,7 @@ def door(look: Look) -> dict[str, Any]:
             drill.studio.cameras = eyes.get(float(share), usual)
             yield drill.seen(t_s, pose)
 
-    for _ in drill.run(moments(), lambda t_s: _span(t_s, edges, names)):
-        pass
-    return {name: {stage: drill.watch.of(name, stage) for stage in (SENT, JUDGED)} for name in names}
+    return drill.scored(moments(), edges, names)
 
 
 def touched(look: Look, pixels: float, camera: str) -> dict[str, Any]:
@@ -209,9 +211,7 @@ def touched(look: Look, pixels: float, camera: str) -> dict[str, Any]:
             return picture
         return np.rint(moved(picture.astype(np.float32), offset)).clip(0, 255).astype(np.uint8)
 
-    for _ in drill.run(drill.walk(9.0), lambda t_s: _span(t_s, edges, names), disturb, (camera,)):
-        pass
-    return {name: {stage: drill.watch.of(name, stage) for stage in (SENT, JUDGED)} for name in names}
+    return drill.scored(drill.walk(9.0), edges, names, disturb, (camera,))
 
 
 def jump(look: Look) -> dict[str, Any]:

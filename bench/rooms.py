@@ -124,12 +124,11 @@ def measure(folder: Path, python: str, row: Row) -> dict[str, Any]:
     return about | figures | known
 
 
-def table(folder: Path, wanted: list[Row], pool: Executor, python: str, markdown: bool = False) -> list[dict[str, Any]]:
+def table(folder: Path, wanted: list[Row], pool: Executor, python: str) -> list[dict[str, Any]]:
     """Measure and print all rows."""
     heads = {"clip": "<31", "disturbance": "<20"} | {m: ">7.3f" for m in (SENT, JUDGED)} | {m: ">6.3f" for m in RIVALS}
     shown = Table(
-        heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6", "visible": ">8.2f"},
-        markdown=markdown,
+        heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6", "visible": ">8.2f"}
     )
     done = []
     for row, figures in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
@@ -157,7 +156,6 @@ def main() -> None:
     given.add_argument(
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
     )
-    given.add_argument("--markdown", action="store_true", help="the table as Markdown")
     given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
     given.add_argument("--holes", action="store_true", help="a person with holes, tracked, instead of the table")
@@ -191,7 +189,7 @@ def whole_table(arguments: argparse.Namespace) -> None:
     chosen = [row for row in wanted if arguments.only in str(row)]
     with tempfile.TemporaryDirectory(prefix="sagoma_rooms_") as folder, ProcessPoolExecutor(arguments.jobs) as pool:
         list(pool.map(partial(prepare, Path(folder)), dict.fromkeys(row.clip for row in chosen)))
-        measured = table(Path(folder), chosen, pool, arguments.rivals, arguments.markdown)
+        measured = table(Path(folder), chosen, pool, arguments.rivals)
     worst = min((row[SENT]["iou"] for row in measured), default=np.nan)
     finish({"rows": measured, "worst_iou": worst, "ahead_in_all": all(map(is_ahead, measured))})
 

@@ -178,14 +178,8 @@ def to_and_fro(body: Body, seconds: float, fps: float, build: float = 1.0) -> Mo
 def studio_stage(args: argparse.Namespace, stop: threading.Event, note: Note) -> Iterator[Stage]:
     """The studio and its graph: backgrounds learned, a person moving, everything restarted when it dies."""
     out, session = args.output, args.output / "session"
-    write_session(
-        session,
-        ring(args.cameras - 1, True),
-        Body.from_stature(STATURE_M),
-        to_and_fro,
-        ACTED_HZ / SLOWER,
-        2 * ACTED_S * SLOWER,
-    )
+    rig, body = ring(args.cameras - 1, True), Body.from_stature(STATURE_M)
+    write_session(session, rig, body, to_and_fro, ACTED_HZ / SLOWER, 2 * ACTED_S * SLOWER)
     with StudioInput(session, out / "studio", args.hz, cancel=stop) as studio:
         graph = studio.graph(start_settings(studio.session, "auto"))
         with Supervisor(graph, out / "logs", cancel=stop, on_event=note, restart_delay_s=RESTART_DELAY_S) as supervisor:

@@ -312,22 +312,15 @@ def draw(path: Path, processes: Rows, exposures: Rows, faults: Rows) -> None:
 def per_minute(exposures: Rows, began_s: float) -> Rows:
     """Return hours, latency percentiles (ms), answered and tracked (%) of each minute."""
     minutes = ((exposures["unix_s"] - began_s) // 60).astype(int)
-    rows: dict[str, list[float]] = {key: [] for key in ("hours", "p50", "p95", "answered", "tracked")}
+    rows = list[tuple[float, ...]]()
     for minute in np.unique(minutes):
         of = minutes == minute
         ages = exposures["age_ms"][of]
         ages = ages[np.isfinite(ages)]
         p50, p95 = np.percentile(ages, (50, 95)) if len(ages) else (np.nan, np.nan)
-        values = (
-            (minute + 0.5) / 60.0,
-            p50,
-            p95,
-            100.0 * len(ages) / of.sum(),
-            100.0 * exposures["tracked"][of].mean(),
-        )
-        for key, value in zip(rows, values, strict=True):
-            rows[key].append(float(value))
-    return {key: np.array(values) for key, values in rows.items()}
+        answered, tracked = 100.0 * len(ages) / of.sum(), 100.0 * exposures["tracked"][of].mean()
+        rows.append(((minute + 0.5) / 60.0, p50, p95, answered, tracked))
+    return dict(zip(("hours", "p50", "p95", "answered", "tracked"), np.array(rows).T, strict=True))
 
 
 def _column(cells: list[str]) -> np.ndarray:
