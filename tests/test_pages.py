@@ -43,6 +43,11 @@ def test_every_statement_of_the_readme_s_page_stands_in_the_pipeline_in_the_same
     assert -1 not in places and places == sorted(places)
 
 
+def code_spans(text: str) -> list[str]:
+    """What stands between backticks outside blocks, also across the end of a line."""
+    return re.findall(r"`([^`\n]+)`", re.sub(r"(?<!\n)\n(?!\n) *", " ", BLOCK.sub("\n\n", text)))
+
+
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", read(page), re.M)
@@ -80,7 +85,7 @@ def names_in_vain() -> Iterator[str]:
     sources = [f"/{path.relative_to(ROOT)}" for folder in (*CODE, "tests") for path in (ROOT / folder).rglob("*.[cp]*")]
     for page in PAGES:
         text, package = read(page), page.parent
-        spans = set(re.findall(r"`([^`\n]+)`", BLOCK.sub("", text)))
+        spans = set(code_spans(text))
         vain = {name for name in re.findall(CONFIGURATION, text) if not (ROOT / name).exists()}
         if package.parent == ROOT / "src":
             own = {name for name in spans if OWN.fullmatch(name)}
@@ -181,7 +186,7 @@ def commands_of(page: Path) -> Iterator[tuple[str, bool]]:
     text = read(page)
     blocks = [block[1] or block[2] for block in BLOCK.finditer(text)]
     lines = [(line, True) for block in blocks for line in block.replace("\\\n", " ").split("\n")]
-    lines += [(span, False) for span in re.findall(r"`([^`\n]+)`", BLOCK.sub("", text))]
+    lines += [(span, False) for span in code_spans(text)]
     for line, typed in lines:
         for command in re.split(r";|&&", re.split(r"(?:^|\s)# ", line.strip())[0]):
             yield command.strip(), typed
