@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: help setup setup-dev demo studio test test-all lint figures colcon clean
 help:
 	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
-	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/studio.md)"
+	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/how-to/studio.md)"
 	@echo "make test                   set up, run the tests in three processes;  make test-all: the slow ones too"
 	@echo "make lint | figures         ruff and mypy | write the figures of docs/figures into the pages"
 	@echo "make colcon | clean         colcon build in ros_ws | remove what was built"

@@ -163,7 +163,7 @@ def jumbo(drill: NetworkDrill, name: str) -> list[Any]:
 
 
 def environment_of(world: World, folder: Path, arguments: Any) -> dict[str, str]:
-    """Return the variables that docs/hosts.md sets on every machine."""
+    """Return the variables that docs/how-to/hosts.md sets on every machine."""
     environment = {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder), "OPENBLAS_NUM_THREADS": "1"}
     if arguments.profile != NO_PROFILE:
         environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(arguments.profile).resolve())

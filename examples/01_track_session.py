@@ -2,7 +2,7 @@
 
     python examples/01_track_session.py my_session > angles.csv
 
-A session folder holds camNN.mp4, camNN_background.mp4 (or .png) and rig.yaml: docs/sessions.md.
+A session folder holds camNN.mp4, camNN_background.mp4 (or .png) and rig.yaml: docs/how-to/sessions.md.
 """
 
 import sys

@@ -3,7 +3,7 @@
     python models/body_clothes.py --motions pybullet_data/data/motions --avatars GLB --leave-out FAMILY IN.csv OUT.csv
 
 IN.csv is what `models/body_builds.py` makes of naked rendered people and the studio's: the table in the tree, which is
-not widened so, for what other makers wear does not carry over to one that is left out (docs/accuracy.md).
+not widened so, for what other makers wear does not carry over to one that is left out (docs/results/accuracy.md).
 
 Each avatar (`models/avatar_people.py` says where they come from) stands in poses of the clips; rays along its outline
 give the likeliest of its capsules, fixed to its own joints, under the table's Gaussian. How far they lie off what its

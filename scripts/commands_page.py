@@ -1,4 +1,4 @@
-"""Prints docs/commands.md from the commands' parsers: python scripts/commands_page.py > docs/commands.md."""
+"""Prints a page from the commands' parsers: python scripts/commands_page.py > docs/reference/commands.md."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ and examples. This page is printed from `sagoma_tools/console.py` by `python scr
 
 
 def page(parser: argparse.ArgumentParser) -> str:
-    """Return docs/commands.md."""
+    """Return docs/reference/commands.md."""
     lines = []
     for name, _, text in commands_of(parser):
         meant = "; ".join(

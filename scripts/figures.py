@@ -38,7 +38,7 @@ from measure_code import BUDGET
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- /figures -->)", re.S)
 LONG = "all"
 """The table with every row, and with what they say more."""
-PAGES = ("README.md", "docs/*.md")
+PAGES = ("README.md", "docs/**/*.md")
 
 
 class FigureError(Exception):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the list of every node parameter into docs/parameters.md: ``scripts/reference.py``."""
+"""Writes the list of every node parameter into docs/reference/parameters.md: ``scripts/reference.py``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from motion_bridges.lsl_node import LslSettings
 from motion_bridges.person_node import PersonSettings
 from motion_bridges.vmc_node import VmcSettings
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "parameters.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "parameters.md"
 SETTINGS = {
     "camera_client": CameraClientSettings,
     "hull_server": HullNodeSettings,

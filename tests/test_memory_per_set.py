@@ -53,7 +53,7 @@ def to_and_fro(there: Iterable[Any]) -> list[Any]:
 def fill_numpys_cache() -> None:
     """Let numpy have what it keeps for good: seven freed blocks of every size below 1024 bytes, 3.6 MiB.
 
-    By itself it comes by them over hours (docs/faults.md), as arrays of ever other sizes are freed.
+    By itself it comes by them over hours (docs/how-to/faults.md), as arrays of ever other sizes are freed.
     """
     for size in range(1, NUMPY_KEEPS_BYTES):
         _together = [np.empty(size, np.uint8) for _ in range(NUMPY_KEEPS + 1)]

@@ -19,7 +19,7 @@ from sagoma_tools.graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, camera_topics
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 DOCS = ROOT / "docs"
 MOST_PAGES = 25
 CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
@@ -43,6 +43,11 @@ def test_every_statement_of_the_readme_s_page_stands_in_the_pipeline_in_the_same
     assert -1 not in places and places == sorted(places)
 
 
+def code_spans(text: str) -> list[str]:
+    """What stands between backticks outside blocks, also across the end of a line."""
+    return re.findall(r"`([^`\n]+)`", re.sub(r"(?<!\n)\n(?!\n) *", " ", BLOCK.sub("\n\n", text)))
+
+
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", read(page), re.M)
@@ -62,12 +67,13 @@ def wrong_links() -> Iterator[str]:
 
 def test_every_link_image_page_and_program_that_pages_and_code_name_is_there():
     assert not [*wrong_links()]
-    listed = set(re.findall(r"\]\((\w+\.md)\)", read(DOCS / "index.md")))
-    assert listed == {page.name for page in DOCS.glob("*.md")} - {"index.md"} and len(listed) < MOST_PAGES
+    listed = set(re.findall(r"\]\(([\w/-]+\.md)\)", read(DOCS / "index.md")))
+    pages = {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
+    assert listed == pages - {"index.md"} and len(pages) <= MOST_PAGES
     text = "".join(map(read, PAGES))
     assert not [image.name for image in (DOCS / "images").iterdir() if f"images/{image.name})" not in text]
     code = [path for folder in CODE for path in (ROOT / folder).rglob("*.*") if path.suffix in NAMING]
-    named = {page for path in [ROOT / "Makefile", *code] for page in re.findall(r"\bdocs/\w+\.md\b", read(path))}
+    named = {page for path in [ROOT / "Makefile", *code] for page in re.findall(r"\bdocs/[\w/-]+\.md\b", read(path))}
     programs = set(re.findall(PROGRAM, text))
     assert len(named) > 12 < len(programs)
     assert not [path for path in sorted(named | programs) if not (ROOT / path).exists()]
@@ -79,7 +85,7 @@ def names_in_vain() -> Iterator[str]:
     sources = [f"/{path.relative_to(ROOT)}" for folder in (*CODE, "tests") for path in (ROOT / folder).rglob("*.[cp]*")]
     for page in PAGES:
         text, package = read(page), page.parent
-        spans = set(re.findall(r"`([^`\n]+)`", BLOCK.sub("", text)))
+        spans = set(code_spans(text))
         vain = {name for name in re.findall(CONFIGURATION, text) if not (ROOT / name).exists()}
         if package.parent == ROOT / "src":
             own = {name for name in spans if OWN.fullmatch(name)}
@@ -98,13 +104,13 @@ def test_every_source_configuration_and_folder_that_a_page_names_is_there():
 
 
 def test_the_lists_of_parameters_are_those_of_the_settings():
-    page = read(DOCS / "parameters.md")
+    page = read(DOCS / "reference" / "parameters.md")
     assert with_lists(page) == page, "run python scripts/reference.py"
     assert all(f"\n- `{leaf.key}`" in page for settings in SETTINGS.values() for leaf in leaves(settings))
 
 
 def test_every_topic_of_the_graph_stands_in_its_table_with_its_type_and_whether_it_is_latched():
-    rows = [line.split("|") for line in read(DOCS / "ros.md").splitlines() if line[:3] == "| `"]
+    rows = [line.split("|") for line in read(DOCS / "reference" / "ros.md").splitlines() if line[:3] == "| `"]
     table = {name: (row[2].strip(), "latched" in row[-2]) for row in rows for name in re.findall(r"`(/[^`]+)`", row[1])}
     topics = (*OUTPUT_TOPICS, DIAGNOSTICS, *camera_topics("CAM"))
     expected = {topic.name: (topic.msgtype.replace("/msg/", "/"), topic.latched) for topic in topics}
@@ -112,13 +118,13 @@ def test_every_topic_of_the_graph_stands_in_its_table_with_its_type_and_whether_
 
 
 def test_every_cause_of_a_bad_silhouette_that_the_page_names_is_one_that_a_client_finds():
-    section = read(DOCS / "silhouettes.md").partition("## Causes of bad silhouettes")[2]
+    section = read(DOCS / "how-to" / "silhouettes.md").partition("## Causes of bad silhouettes")[2]
     named = {code for row in re.findall(r"^\| (`.+?) \|", section, re.M) for code in re.findall(r"`(\w+\.\w+)`", row)}
     assert len(named) > 10
     assert named <= {cause.code for cause in CAUSES}
 
 
-# --- licences: docs/dependencies.md against requirements.txt
+# --- licences: docs/reference/dependencies.md against requirements.txt
 
 
 def licence(name: str) -> str:
@@ -152,14 +158,14 @@ def with_their_own(names: set[str]) -> set[str]:
 def test_every_requirement_has_a_row_with_its_licence_and_none_is_under_the_gpl():
     lines = [line.partition("#")[0] for line in read(ROOT / "requirements.txt").splitlines()]
     required = {Requirement(line).name.lower() for line in lines if line.strip()}
-    rows = [line.strip("|").split("|") for line in read(DOCS / "dependencies.md").splitlines()]
+    rows = [line.strip("|").split("|") for line in read(DOCS / "reference" / "dependencies.md").splitlines()]
     listed = {
         name.strip().lower()
         for row in rows
         if len(row) == 4 and row[-1].strip()
         for name in re.sub(r"\(.*?\)", "", row[0]).split(",")
     }
-    assert required - listed == set(), "give it a row in docs/dependencies.md"
+    assert required - listed == set(), "give it a row in docs/reference/dependencies.md"
     said = {name: licence(name) for name in with_their_own(required)}
     assert len(said) > len(required)
     assert not {name: text for name, text in said.items() if is_gpl(text)}
@@ -180,7 +186,7 @@ def commands_of(page: Path) -> Iterator[tuple[str, bool]]:
     text = read(page)
     blocks = [block[1] or block[2] for block in BLOCK.finditer(text)]
     lines = [(line, True) for block in blocks for line in block.replace("\\\n", " ").split("\n")]
-    lines += [(span, False) for span in re.findall(r"`([^`\n]+)`", BLOCK.sub("", text))]
+    lines += [(span, False) for span in code_spans(text)]
     for line, typed in lines:
         for command in re.split(r";|&&", re.split(r"(?:^|\s)# ", line.strip())[0]):
             yield command.strip(), typed

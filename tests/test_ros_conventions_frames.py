@@ -159,7 +159,7 @@ def test_links_on_tf_are_where_the_reference_points_are_over_the_track_of_a_movi
             np.testing.assert_allclose(place[:3, :3], placed[name][:3, :3], atol=1e-6)
         shifts = np.array([rigid[LINK_OF_POINT[i]] - linked[i] for i in range(15)])[:, :3, 3]
         off_rigid.append(np.linalg.norm(shifts, axis=1).max())
-    assert 2 * MM < np.median(off_rigid) < 40 * MM  # 12 to 25 mm at the shoulders of tracked people: docs/ros.md
+    assert 2 * MM < np.median(off_rigid) < 40 * MM  # 12 to 25 mm at tracked people's shoulders: docs/reference/ros.md
 
 
 class Published(NamedTuple):

@@ -77,7 +77,7 @@ def test_live_cameras_are_set_up_from_the_empty_room_to_a_tracked_person(tmp_pat
     assert np.linalg.norm(points - t_pose, axis=1).mean() < 0.08
 
 
-# --- four webcams, from nothing to a tracked person, by the commands of docs/first_capture.md
+# --- four webcams, from nothing to a tracked person, by the commands of docs/tutorials/first_capture.md
 
 RATE_HZ, FILM_HZ, FILM_S = 10.0, 60.0, 6.0  # the film is seen in slow motion, so that a busy machine keeps up
 PHASE_MS = 20.0  # from one camera to the next: nobody triggers them

@@ -126,7 +126,7 @@ def plugin(settings: CameraClientSettings) -> Callable[[], FrameSource]:
     try:
         kind = getattr(import_module(module_name), class_name)
     except (ImportError, AttributeError, ValueError) as error:
-        remedy = "Name it as MODULE:CLASS, its module on PYTHONPATH (docs/camera_pcs.md has an example)."
+        remedy = "Name it as MODULE:CLASS, its module on PYTHONPATH (docs/how-to/camera_pcs.md has an example)."
         raise InputError(f"'{name}' cannot be imported: {error}", where=where, remedy=remedy) from None
     if not (isinstance(kind, type) and issubclass(kind, FrameSource)):
         raise InputError(f"'{name}' is no FrameSource", where=where, remedy="Derive it from FrameSource.")

@@ -103,8 +103,8 @@ class NodeSettings(HullSettings):
     )
     resend: bool = setting(
         False,
-        "have silhouettes sent again that the network lost; only with our DDS profile (docs/hosts.md): with ROS's own "
-        "heartbeats one that is lost holds up all behind it for seconds",
+        "have silhouettes sent again that the network lost; only with our DDS profile (docs/how-to/hosts.md): with "
+        "ROS's own heartbeats one that is lost holds up all behind it for seconds",
     )
     reliable: bool = setting(
         False,

@@ -3,7 +3,7 @@
 Segment frames: x forward, y up along the segment, z to the right. Left limbs are mirrored at the sagittal plane first,
 so that the same movement of both sides has the same sign (Wu et al. 2005, 2.3.5). What a stick figure cannot show is
 left out: the pelvis apart from the thorax, the clavicle, the forearm's pronation, the ankle.
-docs/points.md says what each angle means.
+docs/reference/points.md says what each angle means.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """What a process finds around it: bounds of what the middleware keeps, whom it hears, and files of packages.
 
 Environment variables are read when a process first touches ROS, and its children inherit them. Without the bounds, one
-message of 16 MiB on each topic costs a process hundreds of megabytes until it ends (docs/faults.md): ROS has Fast DDS
-keep for each topic as many buffers as were ever in use at once, each as large as the largest message that it ever held,
-and glibc learns from large blocks that are freed to keep such blocks.
+message of 16 MiB on each topic costs a process hundreds of megabytes until it ends (docs/how-to/faults.md): ROS has
+Fast DDS keep for each topic as many buffers as were ever in use at once, each as large as the largest message that it
+ever held, and glibc learns from large blocks that are freed to keep such blocks.
 """
 
 from __future__ import annotations

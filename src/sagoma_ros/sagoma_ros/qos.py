@@ -2,7 +2,7 @@
 
 Publishers are reliable (REP-2003), so that recorders miss nothing; the live hull server listens best effort, because
 a lost silhouette costs one view of one frame set while a repeated one would delay them all, unless heartbeats come as
-often as our DDS profile has them (parameter resend, docs/hosts.md). Queues are bounded: a dead reader costs nothing.
+often as our DDS profile has them (parameter resend, docs/how-to/hosts.md). Queues are bounded; dead readers are free.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def require_all_cameras(graph: Sequence[NodeSpec], names: Sequence[str]) -> None
     here = [node.label for node in graph if node.role is Role.CAMERA]
     if 0 < len(here) < len(names):
         what = f"of {len(names)} cameras only {', '.join(here)} plays here, and its frames would not meet the others'"
-        remedy = f"Give every machine the same moment to begin, --set {ALL_CAMERAS}{EPOCH}=NANOSECONDS: docs/hosts.md."
+        remedy = f"Give all machines one moment to begin, --set {ALL_CAMERAS}{EPOCH}=NANOSECONDS: docs/how-to/hosts.md."
         raise InputError(what, where="--only", remedy=remedy)
 
 

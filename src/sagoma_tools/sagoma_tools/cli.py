@@ -31,7 +31,7 @@ ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", 
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one subcommand; the statuses are those of docs/commands.md. Never a traceback for what a user can cause."""
+    """Run one subcommand; statuses: docs/reference/commands.md. Never a traceback for what a user can cause."""
     try:
         try:
             return run(list(sys.argv[1:] if argv is None else argv))
@@ -71,7 +71,7 @@ def build_parser(modules: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     for name in modules:
         import_module(f".commands.{name}", __package__).add_parser(subparsers)
     for name in ON_A_GRAPH & subparsers.choices.keys():
-        text = "the other machines of the graph: found by unicast alone, with our Fast DDS profile (docs/hosts.md)"
+        text = "the graph's other machines: found by unicast alone, with our Fast DDS profile (docs/how-to/hosts.md)"
         subparsers.choices[name].add_argument("--peers", metavar="ADDRESS,...", help=text)
     describe(parser)
     return parser

@@ -25,8 +25,8 @@ def test_the_tables_name_every_command_and_no_other():
 
 
 def test_the_page_of_commands_is_printed_from_the_table():
-    remedy = "run: python scripts/commands_page.py > docs/commands.md"
-    assert (ROOT / "docs" / "commands.md").read_text() == commands_page.page(PARSER), remedy
+    remedy = "run: python scripts/commands_page.py > docs/reference/commands.md"
+    assert (ROOT / "docs" / "reference" / "commands.md").read_text() == commands_page.page(PARSER), remedy
 
 
 @pytest.mark.parametrize("name", EVERY)

@@ -62,4 +62,4 @@ def test_a_demo_that_tracked_nobody_says_why_and_fails(tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--session", "any", "--rate", "0"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert f"tracked in none of 58 frame sets; {told}" in said and "docs/tracking.md" in said
+    assert f"tracked in none of 58 frame sets; {told}" in said and "docs/how-to/tracking.md" in said

@@ -63,7 +63,7 @@ def test_corners_lie_where_the_lens_projects_them(distance_m, tilt_rad, about, a
     truth = CAMERA.project(board.corners_world)
     errors = found_corners(picture(EYE.render(board)), truth, window_px) - truth
     assert np.abs(errors.mean(axis=0)).max() < 0.02
-    assert np.sqrt((errors**2).mean()) < 0.06  # of which OpenCV's refinement itself makes most: see docs/studio.md
+    assert np.sqrt((errors**2).mean()) < 0.06  # of which OpenCV's refinement itself makes most
 
 
 @pytest.mark.parametrize("camera", [RIG.cameras[0], RIG.cameras[-1]], ids=["ring", "ceiling"])

@@ -2,8 +2,7 @@
 
 Every point of a silhouette's contour is the view of a ray that touches the body's surface somewhere without entering
 it. The steps of :func:`trace_contour_rays`: outlines, sub-pixel edges (:mod:`.outlines`), rays with their normals, and
-the interval of each ray along the hull (:mod:`.ray_hull`), which is where it can touch. docs/hull.md has the
-measurements.
+the interval of each ray along the hull (:mod:`.ray_hull`), which is where it can touch (docs/explanation/hull.md).
 """
 
 from __future__ import annotations

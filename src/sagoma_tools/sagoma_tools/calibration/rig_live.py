@@ -115,7 +115,7 @@ def watch_recorder(recorder: MotionRecorder, stop: threading.Event) -> None:
         if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
             apart = f"no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
             came = f"{recorder.received} pictures came, but {apart}" if recorder.received else "no picture comes"
-            raise InputError(came, remedy="Synchronise the cameras (docs/camera_pcs.md).")
+            raise InputError(came, remedy="Synchronise the cameras (docs/how-to/camera_pcs.md).")
         examined = f"{shared} of {recorder.examined} frames seen by two or more cameras"
         done(f"{examined}; {advice or 'enough'}")
         if not advice:

@@ -199,7 +199,7 @@ def _add_view(subparsers: argparse._SubParsersAction) -> None:
 def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> None:
     """The arguments of a page; :func:`page_of` reads them."""
     if switch:
-        parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/takes.md)")
+        parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/how-to/takes.md)")
     help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
     parser.add_argument("--host", default=HOST, help=help_host)
     port = number("", 0, 65535, whole=True)

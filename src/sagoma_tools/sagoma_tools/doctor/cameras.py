@@ -213,7 +213,7 @@ def check_opened(file: CameraFile) -> Iterator[CheckResult]:
     """What the camera says once its client's settings are made: features, PTP, temperature."""
     with AravisSource(file.settings.aravis, file.settings.channels) as source:
         for text in source.warnings:
-            yield warning("opened.warning", text, "See docs/camera_pcs.md.")
+            yield warning("opened.warning", text, "See docs/how-to/camera_pcs.md.")
         details = ", ".join(f"{key} {value}" for key, value in source.details.items())
         yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
 

@@ -37,8 +37,8 @@ MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
 USUAL_PERIOD_S = 1 / 30
 OLD_S, EARLY_S, NOTHING = 1.0, 5e-3, 1e-5
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
-RECOVERY = "docs/tracking.md"
-PAGES = {HULL: "docs/faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
+RECOVERY = "docs/how-to/tracking.md"
+PAGES = {HULL: "docs/how-to/faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
 UNREACHABLE = "Look for its process and log there; for the way: sagoma doctor --host ADDRESS, firewall, cable."
 BIG_MESSAGES = (
     "Large messages get lost: one MTU on all machines (sagoma doctor --host ADDRESS), "
@@ -118,7 +118,7 @@ def check_frame_sets(facts: GraphFacts) -> Iterator[CheckResult]:
         return
     period_ms, spread, latency = 1e3 * _period_s(facts), _high(sets, "spread_ms"), _high(sets, "published_ms")
     text = f"stamps of a set differ by up to {spread:.1f} ms, of a frame period of {period_ms:.0f} ms"
-    remedy = "aravis.sync: ptp, line or action instead of free_run; see docs/camera_pcs.md."
+    remedy = "aravis.sync: ptp, line or action instead of free_run; see docs/how-to/camera_pcs.md."
     yield result_of("sync", text, (spread > period_ms / 4, warning, "spread", remedy))
     text = f"{facts.sets_hz:.1f} frame sets a second, {latency:.0f} ms from exposure to the hull"
     remedy = "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy."
@@ -160,10 +160,10 @@ def check_message(node: NodeFacts, facts: GraphFacts) -> CheckResult | None:
     message, level = node.message, node.report.level[0]
     if message in {finding.line for finding in read_findings(node.value(FINDINGS_KEY))}:
         return None  # it is a finding of its own
-    page = "docs/camera_pcs.md" if node.camera else PAGES.get(node.name, "")
+    page = "docs/how-to/camera_pcs.md" if node.camera else PAGES.get(node.name, "")
     remedy = f"See {page}." if page else "See its log."
     if level == 1 and message.startswith(ACQUIRING):
-        return note("says.acquiring", message, "Somebody has to come, or stand in the T-pose: docs/tracking.md.")
+        return note("says.acquiring", message, "Somebody has to come, or stand in the T-pose: docs/how-to/tracking.md.")
     if level == 1 and facts.room_empty and any(words in message for words in EMPTY):
         return ok("says", f"{message} (the room is empty)")
     return result_of("says", message, (level > 1, error, "error", remedy), (level > 0, warning, "warning", remedy))

@@ -30,7 +30,7 @@ from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, interfac
 PORT = 7398  # below all ROS domains' ports
 UNUSED_PORT = 10 + 2 * PARTICIPANTS + 9  # of a domain's: no process listens there
 ALONE = ("LOCALHOST", "OFF")  # discovery ranges that hear this machine only
-DOCS = "docs/hosts.md"
+DOCS = "docs/how-to/hosts.md"
 
 # questions and answers of two doctors ---------------------------------------------------------------------------------
 

@@ -46,7 +46,7 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"called: {_percent(calls.false_alarms)}"
     )
     console.print(_angles(scores.angles))
-    console.print(f"truth: {scores.angles.source}; frames: where it determines the angle (see docs/evaluate.md)")
+    console.print(f"truth: {scores.angles.source}; frames: where it determines the angle (see docs/how-to/evaluate.md)")
 
 
 def _percent(share: float) -> str:

@@ -229,9 +229,7 @@ FIT_TOPIC = "/icp/fit"
 SHOWN = 3
 VARYING = re.compile(r": step .*|(?<![\w.])[+-]?\d+(?:\.\d+)?")
 """What may differ between two sets of which the same is said: which way to step, and numbers but a camera's name's."""
-REMEDY = (
-    "What to do about each: docs/tracking.md, 'Why it refuses'; what is wrong with the rig, sagoma doctor --rig says."
-)
+REMEDY = "What to do about each: docs/how-to/tracking.md, 'Why it refuses'; of the rig: sagoma doctor --rig."
 
 
 def reasons_of_step(step: Step) -> tuple[str, ...]:

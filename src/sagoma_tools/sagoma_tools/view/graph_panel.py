@@ -232,7 +232,7 @@ SILENT = (
     "no word since {} ({:.0f} s): its process has ended, or its computer or network is down; see its log, and start it "
     "again"
 )
-NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs/first_capture.md leads to cameras"
+NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs/tutorials/first_capture.md to cameras"
 UNHEARD = "has not been heard yet"
 
 

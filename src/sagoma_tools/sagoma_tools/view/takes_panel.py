@@ -32,7 +32,7 @@ Array = np.ndarray
 
 SIDES = ("left", "right")
 PLOTTED = {"knee_flexion": 1.0, "elbow_flexion": 1.0, "shoulder_elevation": -1.0, "hip_flexion": 1.0}
-"""Angles that are drawn (docs/points.md), each with the sign that makes bent or raised limbs positive."""
+"""Angles that are drawn (docs/reference/points.md), each with the sign that makes bent or raised limbs positive."""
 HELD_S = 0.1
 """A pose is shown over so long a gap: sets that a graph at its limit leaves out, not a person who is lost."""
 PLOT_POINTS = 1000

@@ -20,7 +20,7 @@ from capture_rig.session import WRIST_FRACTION
 from .. import kernels
 from .normal_equations import CHAIN_COLUMNS
 
-# Thresholds: docs/points.md for the places; the gate is that of a normal distribution.
+# Thresholds: docs/reference/points.md for the places; the gate is that of a normal distribution.
 HIP_ASIDE_M = 0.025  # of the detectors' hips beside the joint's centre
 LANDMARK_SD_M = 0.02  # of a detected joint, a place on the image of the skin, about the joint's centre
 GATE_SIGMAS = 3.0  # standard deviations at which the weight of a residual has fallen to 1/4
