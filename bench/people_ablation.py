@@ -81,7 +81,10 @@ NO_BODY_FILTER = MISFIT | {
     MONITOR + "body_filter.BodyFilter.with_other": same_quality,
     TRACK_MONITOR + "_changed_body": nothing,
 }
-NO_TRUNK = {REFINEMENT + "bend_estimator.TrunkBendEstimator.observe": nothing, REFINEMENT + "body_refiner.REST_SD": RIGID_TRUNK_SD}
+NO_TRUNK = {
+    REFINEMENT + "bend_estimator.TrunkBendEstimator.update": nothing,
+    REFINEMENT + "body_refiner.REST_SD": RIGID_TRUNK_SD,
+}
 NO_ENDS = {FIT + "TURN_SD": STIFF_SD, REFINEMENT + "body_refiner.TURN_SD": STIFF_SD}
 ONE_GIRTH = {SOURCE + "LITTLE_SHARE": 0.0}
 CHANGES: dict[str, Change] = {
