@@ -24,13 +24,13 @@ from capture_rig.stamps import NS_PER_S
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation, FrameSelector, nearest_fraction
 
 # Thresholds: CLOCK_DRIFT: quartzes; the others chosen with the simulated graphs of test_hull_overload.py.
-TARGET_S = 0.05  # a queue that stands longer than this, or than one set's period, is an overload
-SETS = 8  # that are judged: twice what a queue of four keeps of a burst, which may overflow by one set
+TARGET_S = 0.05  # a queue that stands for longer, and for longer than one set's period, is an overload
+SETS = 8  # a decision: a burst fills a queue of four and delays as many; eight late ones are a standing queue
 WINDOW_SETS = 32  # periods of kept sets: of fewer than SETS sets in it (slower, or starved, cameras) none is judged
 MOST_SETS = 512  # that are remembered: three seconds of the fastest cameras
 GROWTH = 0.005  # of the cameras' rate a second cubed: half of it is won back within five seconds
 DECREASE = 0.9  # of the rate that was answered
-FULL = 0.95  # of its time, the most that a stage is given to do; a smaller rise is not worth another pattern
+FULL = 0.95  # largest utilisation of a stage; also the smallest ratio of limits that is worth another pattern
 CLOCK_DRIFT = 1e-4  # between two machines' quartzes, at worst: the delay without a queue may grow so fast
 DELAYED, DROPS = "sets wait", "sets are dropped"
 
@@ -44,7 +44,7 @@ LEAST_STAMPS = 9  # until a period is told
 OFF_GRID = 0.24  # of a period: stamps farther from the grid (rms; random ones: 0.29) do not lie on it
 
 
-@dataclass
+@dataclass(eq=False)
 class SetRecord:
     """A closed frame set: when it closed, went to the tracker, was answered (monotonic ns; 0: not yet).
 
@@ -202,35 +202,41 @@ class ThinningControl:
     # --- the rate ------------------------------------------------------------------------------------------------
 
     def _update_limit(self, offered_hz: float, now_ns: int) -> int:
-        """Judge the last sets and update the limit; return how long sets wait when a queue stands, otherwise 0."""
+        """Adapt the limit to the last sets; return how long sets wait when a queue stands, otherwise 0."""
         rate_hz = self.rule.fraction * offered_hz
         span_ns = max(NS_PER_S, round(WINDOW_SETS / rate_hz * NS_PER_S))
         while len(self._sets) > 1 and now_ns - self._sets[0].closed_ns > span_ns:
             self._sets.popleft()
-        base_ns = self._base_ns
-        late_ns = (base_ns or 0.0) + max(TARGET_S, 1.0 / rate_hz) * NS_PER_S
-        recent = [each for each in self._sets if each.stamp_ns >= self._settled_ns]
-        late = [each.dropped or each.delay_ns(now_ns) > late_ns for each in recent]
-        judged = [(each, is_late) for each, is_late in zip(recent, late, strict=True) if is_late or each.answered_ns]
-        judged = judged[-SETS:]
-        if len(judged) < SETS or base_ns is None:
+        if self._base_ns is None:
             return 0
-        drops = sum(each.dropped for each, _ in judged) > 1
-        if drops or all(is_late for _, is_late in judged):
+        late_ns = self._base_ns + max(TARGET_S, 1.0 / rate_hz) * NS_PER_S
+        recent = [each for each in self._sets if each.stamp_ns >= self._settled_ns]
+        late = [each for each in recent if each.dropped or each.delay_ns(now_ns) > late_ns]
+        judged = [each for each in recent if each.answered_ns or each in late][-SETS:]
+        if len(judged) < SETS:
+            return 0
+        drops = sum(each.dropped for each in judged) > 1
+        if drops or all(each in late for each in judged):
             self._cause = DROPS if drops else DELAYED
-            since_ns = next(each.closed_ns for each, is_late in judged if is_late)
-            # too few answers of a burst tell no throughput: half of what was kept
-            self._answered_hz, self._fell_ns = throughput_hz(self._sets, since_ns) or 0.5 * rate_hz, now_ns
-            self._limit_hz = DECREASE * self._answered_hz
-            delays_ns = [each.delay_ns(now_ns) for each, _ in judged if not each.dropped]
-            return max(round(max(delays_ns, default=0) - base_ns), 1)
+            self._decrease(rate_hz, next(each.closed_ns for each in judged if each in late), now_ns)
+            delays_ns = [each.delay_ns(now_ns) for each in judged if not each.dropped]
+            return max(round(max(delays_ns, default=0) - self._base_ns), 1)
         if self._limit_hz < math.inf and now_ns - self._changed_ns >= NS_PER_S:
-            grown_hz = min(self._grown_hz(offered_hz, now_ns), FULL * rate_hz / self._utilisation(), 2 * rate_hz)
-            if grown_hz >= offered_hz:
-                self._limit_hz = math.inf
-            elif FULL * grown_hz > self._limit_hz:
-                self._limit_hz = grown_hz
+            self._increase(rate_hz, offered_hz, now_ns)
         return 0
+
+    def _decrease(self, rate_hz: float, since_ns: int, now_ns: int) -> None:
+        """Lower the limit below what was answered since then; where too few answers came to tell, below half."""
+        self._answered_hz, self._fell_ns = throughput_hz(self._sets, since_ns) or 0.5 * rate_hz, now_ns
+        self._limit_hz = DECREASE * self._answered_hz
+
+    def _increase(self, rate_hz: float, offered_hz: float, now_ns: int) -> None:
+        """Raise the limit along the cubic, but not beyond what the busiest stage can do, nor twice the rate."""
+        grown_hz = min(self._grown_hz(offered_hz, now_ns), FULL * rate_hz / self._utilisation(), 2 * rate_hz)
+        if grown_hz >= offered_hz:
+            self._limit_hz = math.inf
+        elif FULL * grown_hz > self._limit_hz:
+            self._limit_hz = grown_hz
 
     def _grown_hz(self, offered_hz: float, now_ns: int) -> float:
         """Return the rate on the cubic that begins at the last fall and is level at what was answered then."""
