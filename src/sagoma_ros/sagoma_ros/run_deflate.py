@@ -27,8 +27,8 @@ CHECKSUM_BYTES = 4
 LENGTH_SHIFT = 5  # codes and their lengths are kept in one number
 _ORDER_OF_LENGTHS = (16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15)  # RFC 1951
 
-# Weights of the code, per mille. A byte of a mask has one level, or an outline in it, rarely two. Measured once on masks
-# of rendered rooms; streams of other masks only get larger.
+# Weights of the code, per mille. A byte of a mask has one level, or an outline in it, rarely two. Measured on masks of
+# rendered rooms; streams of other masks only get larger.
 BACKGROUND_OR_FOREGROUND = 120
 ONE_LEVEL, OUTLINE, RARER = {1: 0, 2: 60, 4: 30}, {1: 18, 2: 18, 4: 3}, 12
 MATCH, SHORT_MATCH, LONGEST_MATCH = 6, 18, 70
