@@ -20,7 +20,7 @@ CANVAS_WIDTH_MULTIPLE = 32
 BAND_ROWS = 32
 # Thresholds: judgement, no measurement.
 ROUNDING_PX = 1e-6
-CELLS = 200  # a side: so many places tell a share to a thousandth
+CELLS = 200  # a side: a share is exact to a thousandth
 RIM_POINTS = 720  # half a degree apart
 MAX_CANVAS_GROWTH = 2.0  # a canvas wider than this times the image means that the lens model diverges at the edges
 
@@ -134,9 +134,9 @@ class CameraModel:
 
 
 def looking_at(centre_world: Array, target_world: Array, roll_rad: float = 0.0) -> Array:
-    """T_camera_world (4, 4) of a camera at one place (3,) that looks at another, world z up.
+    """Return T_camera_world (4, 4) of a camera at one place (3,) that faces another, world z up.
 
-    The horizon is level, or turned by ``roll_rad``; a camera that looks nearly along z has world x upwards.
+    The horizon is level, or turned by ``roll_rad``; a camera that faces nearly along z has world x upwards.
     """
     forward = (target_world - centre_world) / np.linalg.norm(target_world - centre_world)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
@@ -152,7 +152,7 @@ def looking_at(centre_world: Array, target_world: Array, roll_rad: float = 0.0) 
 
 @dataclass(frozen=True, eq=False)
 class UndistortedView:
-    """What a camera sees, undistorted, on a canvas padded so that no original pixel is lost.
+    """A camera's undistorted view on a canvas padded so that no original pixel is lost.
 
     ``camera`` has D = 0 and the canvas's size and principal point. ``seen`` (h, w) marks the canvas pixels that lie
     inside the original image; elsewhere the camera is blind, which is not the same as seeing background.
@@ -223,8 +223,8 @@ def _canvas_bounds(camera: CameraModel) -> tuple[Array, Array]:
 
 
 def _rim_in_view(camera: CameraModel) -> Array:
-    """(n, 2) ideal points of the circle where the lens model ends, as far as the image shows it: the border of what is
-    seen, inside the image's own."""
+    """Return ideal points (n, 2) of the circle where the lens model ends, as far as it lies in the image: a border of
+    the seen pixels beside the image's own."""
     if not np.isfinite(camera._reach_radius):
         return np.empty((0, 2))
     around = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)

@@ -35,11 +35,11 @@ def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
 
 
 def read_camera_info(path: str | Path, wanted: str = "") -> CameraModel:
-    """The camera that the camera_info YAML at ``path`` describes: name, image size and intrinsics from the file, pose
-    the identity.
+    """Return the camera of the camera_info YAML at ``path``: name, image size and intrinsics from the file, pose the
+    identity.
 
-    Raises InputError with file, key, value and remedy: no such file, a camera without a name or, where one is given,
-    another than the ``wanted``, a matrix that is none.
+    Raises InputError with file, key, value and remedy: for a missing file, a missing name or one that is not the
+    ``wanted``, an invalid matrix.
     """
     document, where = read_mapping(Path(path), _REMEDY), str(path)
     if missing := [key for key in KEYS if key not in document]:

@@ -1,6 +1,6 @@
 """The one error a user sees when something they gave us cannot be used."""
 
-MOST = 1000  # characters of a part of the message: what a broken file holds may be of any length
+MOST = 1000  # characters of a part of the message: values in broken files may be of any length
 
 
 class InputError(ValueError):

@@ -21,11 +21,11 @@ from .errors import InputError, shortened
 MOST_TEXT_BYTES = 256 << 20  # an hour of reference points at 60 Hz has 150 MB
 _READABLE = 0o666  # less the user's umask, as any program's files
 FREE_SPACE = "Free space on that disk, or choose another."
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the quota, what a file may have
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the quota, the largest file size
 
 
 def describe_os_error(error: OSError, what: str, where: object = None, remedy: str = "") -> InputError:
-    """The InputError that says ``what`` could not be done, why, and the remedy."""
+    """Return the InputError for an operation (``what``) that failed, with reason and remedy."""
     place = where if where is not None else error.filename
     remedy = remedy or (FREE_SPACE if error.errno in FULL else "Check the path and who may use it.")
     return InputError(f"{what} ({error.strerror or error})", where=shortened(str(place or "")), remedy=remedy)
@@ -81,7 +81,7 @@ def copy_file(source: str | Path, target: str | Path) -> None:
 
 @contextmanager
 def replaced_file(path: str | Path) -> Iterator[BinaryIO]:
-    """A new file to write into, which takes the place of ``path`` when the block ends without an error.
+    """Open a new file to write into, which replaces ``path`` when the block ends without an error.
 
     The file that a link names is replaced, not the link; a device or a pipe is written as it is. Raises InputError when
     it cannot be written; nothing is left beside it then.
@@ -114,10 +114,10 @@ def _open_new(path: Path) -> BinaryIO:
 
 @contextmanager
 def replaced_folder(folder: str | Path, may_replace: Callable[[Path], bool] = lambda folder: False) -> Iterator[Path]:
-    """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
+    """Make an empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
 
-    A ``folder`` that holds something is replaced only where ``may_replace`` says so of it, and goes when the new one is
-    there. Raises InputError otherwise.
+    A ``folder`` that is not empty is replaced only if ``may_replace`` allows it, once the new one is complete. Raises
+    InputError otherwise.
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not may_replace(folder))):

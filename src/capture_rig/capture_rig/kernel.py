@@ -1,12 +1,12 @@
-"""Compiles functions that only compute on arrays (numba), cached; what kernels call is compiled as a part of them.
+"""Compiles functions that only compute on arrays (numba), cached; functions that kernels call are compiled within them.
 
-numba makes machine code of every function that a kernel calls, then takes its code into the caller, optimises that and
-makes machine code once more: most of the time that compiling took. Here a function that is called from a kernel is only
-typed and lowered (:class:`_PartDispatcher`), and so is what numba has written in Python of numpy's functions; what
-Python calls is optimised, and cached, once and as a whole.
+numba makes machine code of every function that a kernel calls, then inlines its code into the caller, optimises that
+and makes machine code once more, which took most of the compile time. Here a function that is called from a kernel is
+only typed and lowered (:class:`_PartDispatcher`), and so are numpy's functions that numba implements in Python; entry
+points from Python are optimised, and cached, once and as a whole.
 
-What is kept is out of date as soon as a module changed that the kernel's imports. (numba itself looks at the file of
-the kernel alone, and would go on calling code that has changed in another file.)
+A cache entry is invalid as soon as any module that the kernel's module imports has changed. (numba itself checks the
+file of the kernel alone, and would go on calling code that has changed in another file.)
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def njit(*, cache: bool, crops: bool = False, **options: Any) -> Callable[[Calla
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that only computes on the arrays that it is given: it may neither make arrays nor raise.
+    """Compile a function that only computes on its argument arrays: it may neither make arrays nor raise.
 
     Such functions need no reference counts, which would cost more here than all arithmetic (``_nrt``), and those that
     they call become part of them, so that passing a dozen arrays on costs nothing (``forceinline``). Slices are free
@@ -71,10 +71,10 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """The code of a function and of what it calls, as it was lowered: for its callers, not to be run on its own."""
+    """The lowered code of a function and of its callees: for its callers, not to be run on its own."""
 
     def _optimize_final_module(self) -> None:
-        """Leave that to the callers, who optimise it as a part of themselves."""
+        """Do nothing: callers optimise it as a part of themselves."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -122,7 +122,7 @@ class _KernelPartDispatcher(_PartDispatcher):
 
 
 class _KernelDispatcher(CPUDispatcher):
-    """A function as Python calls it; within kernels the part stands for it."""
+    """A function as Python calls it; kernels call its part instead."""
 
     def __init__(self, function: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
         """As numba does when it unpickles one, too."""
@@ -130,7 +130,7 @@ class _KernelDispatcher(CPUDispatcher):
         self._part = _KernelPartDispatcher(function, locals, targetoptions | NO_ENTRY, _PartCompiler)
 
     def enable_caching(self) -> None:
-        with suppress(RuntimeError):  # no folder can be written: every process compiles what it needs
+        with suppress(RuntimeError):  # no folder can be written: every process compiles its kernels
             self._cache = KernelCache(self.py_func)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
@@ -173,7 +173,7 @@ def _compile_raise_of_shapes(source: Any, target: Any) -> Callable[[Any, Any], N
 
 arrayobj.raise_with_shape_context = _raise_of_shapes
 
-# numba compares the flags of a function thousands of times, and looked each of them up: a tenth of all time
+# numba compares the flags of a function thousands of times, which took a tenth of all time
 _DEFAULT_FLAGS = {name: option.default for name, option in Flags.options.items()}
 Flags.values = lambda flags: _DEFAULT_FLAGS | flags._values  # type: ignore[method-assign]
 

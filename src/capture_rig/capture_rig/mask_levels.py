@@ -1,8 +1,8 @@
-"""What the grey levels of a silhouette mean; camera clients, messages and the hull server share them.
+"""Grey levels of a silhouette, shared by camera clients, messages and the hull server.
 
-A silhouette is evidence: a level says for what, and how surely. Sixteen levels: background; uncertain, where the
-camera has no say; four of shadow candidates, nine of pixels that are the person or floor in shadow; and foreground.
-Everything above ``SHADOW_CANDIDATE`` is the person as far as a single camera can tell.
+A silhouette is evidence: a level stands for a kind of pixel and its certainty. Sixteen levels: background; uncertain,
+where the camera does not vote; four of shadow candidates, nine of pixels that are the person or floor in shadow; and
+foreground. Everything above ``SHADOW_CANDIDATE`` is the person by the judgement of a single camera.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FOREGROUND = 255
 ATTENUATION_EDGES = (0.4, 0.44, 0.485, 0.535, 0.59, 0.65, 0.715, 0.785, 0.865, 0.97)
 """Attenuation step d: ATTENUATION_EDGES[d] to [d + 1] times as bright as the background; each a tenth brighter."""
 ATTENUATED_LEVELS = tuple(range(135, 248, 14))
-"""Levels of the steps 0 to 8: the person as far as one camera can tell, or the floor behind it in shadow."""
+"""Levels of the steps 0 to 8: the person by one camera's judgement, or the floor behind it in shadow."""
 CANDIDATE_LEVELS = tuple(range(67, 128, 20))
 """Levels of shadow candidates: of the steps 0 and 1, 2 and 3, 4 and 5, 6 to 8."""
 STEPS_OF_CANDIDATE = ((0, 1), (2, 3), (4, 5), (6, 8))
@@ -27,7 +27,7 @@ LEVELS = (BACKGROUND, UNCERTAIN, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, FOREGROU
 """All sixteen, ascending."""
 
 FLOOR_REACH_M = 0.5
-"""Pixels may be floor in shadow within the capture volume and so far around it."""
+"""Pixels may be floor in shadow within the capture volume and this far around it."""
 
 
 def candidate_level(step: int) -> int:

@@ -133,7 +133,8 @@ def read_table(path: Path) -> tuple[list[str], Array]:
 
 
 def write_table(path: Path, names: Sequence[str], frames: Iterable[int], values: Array, digits: int) -> None:
-    """Write a row a frame, its number (F,), then the values (F, n) called ``names``; what is not finite stays empty."""
+    """Write a row a frame, its number (F,), then the values (F, n) called ``names``; cells that are not finite are
+    empty."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["frame", *names])
@@ -264,7 +265,7 @@ def _frame_rate(folder: Path, videos: dict[str, Path]) -> float:
 
 
 def _video_rate(path: Path, needed: bool) -> float:
-    """Return the rate in the header; InputError where that is none of a camera and ``needed``."""
+    """Return the rate in the header; InputError if it is not a camera's and ``needed``."""
     with Video(path) as video:
         if needed and not video.fps:
             raise InputError(
@@ -276,7 +277,7 @@ def _video_rate(path: Path, needed: bool) -> float:
 
 
 def stated_rate(path: Path) -> float | None:
-    """Return the frame rate in a session.yaml; None where it states none. Raises InputError for one that is none."""
+    """Return the frame rate in a session.yaml, None if missing. Raises InputError for an invalid one."""
     if not path.is_file():
         return None
     fps = read_mapping(path, "It holds 'fps', 'units' and 'source', all optional.").get("fps")

@@ -1,8 +1,8 @@
 """Typed configuration: one frozen dataclass serves ROS parameters, YAML files and plain Python alike.
 
 A settings class is a frozen dataclass whose fields come from :func:`setting`; a field may itself be a settings
-class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping. Another plain field is no
-setting: Python code may give it, users need not decide it.
+class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping. Other plain fields are for
+Python code alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .errors import InputError, shortened
 T = TypeVar("T")
 
 _SCALARS = (bool, int, float, str)
-LARGEST, LARGEST_INT = 1e12, (1 << 63) - 1  # of a range that is open: more is meant in no unit of ours
+LARGEST, LARGEST_INT = 1e12, (1 << 63) - 1  # bounds of an open range
 _NAME = re.compile(r"\w[\w-]*(/\w[\w-]*)*", re.ASCII)
 
 
@@ -60,7 +60,7 @@ class Leaf:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the greatest number allowed; never infinite, also where the setting names none."""
+        """The least and the greatest number allowed; finite even if the setting names none."""
         most = LARGEST_INT if self.type in (int, list[int]) else LARGEST
         low, high = self.metadata.get("low"), self.metadata.get("high")
         return -most if low is None else low, most if high is None else high
@@ -83,7 +83,7 @@ def leaves(cls: type, prefix: str = "") -> Iterator[Leaf]:
 
 
 def build_settings(cls: type[T], values: Mapping[str, Any], where: str) -> T:
-    """Build ``cls`` from nested or dotted ``values``; what is not given keeps its default.
+    """Build ``cls`` from nested or dotted ``values``; missing ones keep their defaults.
 
     Raises InputError naming ``where``, the key, the value and the remedy for an unknown key, a value of the wrong type,
     or one out of range.
@@ -190,10 +190,10 @@ def _fits(value: Any, kind: type) -> bool:
 
 
 def number(unit: str, low: float, high: float, *, whole: bool = False) -> Callable[[str], float]:
-    """Return a ``type`` for argparse: the number from ``low`` to ``high`` that a text says, an int where ``whole``.
+    """Return a ``type`` for argparse that parses a number from ``low`` to ``high``, an int if ``whole``.
 
-    unit : as it stands behind the number ("s", "Hz", "cameras"), "" for none. What is no such number, NaN and infinity
-    among it, is an argparse error that names what is allowed.
+    unit : for the error ("s", "Hz", "cameras"), "" for none. Any other text, NaN and infinity are an argparse error
+    that names the range.
     """
 
     def read(text: str) -> float:

@@ -130,7 +130,7 @@ def positive3(S):
 def diagonalise(S, V):
     """Turn a symmetric S (n, n) into the diagonal of its eigenvalues; V (n, n) <- eigenvectors, one a column.
 
-    Cyclic Jacobi rotations (Golub & Van Loan, Matrix Computations, 8.5), until what is left is rounding.
+    Cyclic Jacobi rotations (Golub & Van Loan, Matrix Computations, 8.5), until only rounding is left off the diagonal.
     """
     n = S.shape[0]
     for i in range(n):

@@ -13,7 +13,7 @@ SLOW_ORIGIN_NS = 1_767_225_600_000_000_000  # 2026-01-01 00:00 UTC: a slow captu
 class CaptureClock:
     """The clock that stamps frames: UTC, or in slow motion one that runs at ``speed`` (0 to 1) of it. All times in ns.
 
-    Cameras in slow motion are simulated. Whoever knows the speed knows the time, in any process: no message says it.
+    Cameras in slow motion are simulated. The speed determines the time in every process, without messages.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
@@ -24,13 +24,13 @@ class CaptureClock:
         return self.at_utc(time.time_ns())
 
     def at_utc(self, utc_ns: int) -> int:
-        """Return what it shows at an instant of UTC."""
+        """Return its time at an instant of UTC."""
         if self.speed == 1:
             return utc_ns
         return SLOW_ORIGIN_NS + (utc_ns - SLOW_ORIGIN_NS) * self.speed.numerator // self.speed.denominator
 
     def wait_ns(self, until_ns: int) -> int:
-        """Return how long it takes, of UTC, until it shows a time; 0 for a time that has passed."""
+        """Return the UTC time to wait until it shows a time; 0 for a time that has passed."""
         ahead_ns = max(until_ns - self.now_ns(), 0)
         return -(-ahead_ns * self.speed.denominator // self.speed.numerator)
 
@@ -39,7 +39,7 @@ UTC = CaptureClock()
 
 
 class StampThrottle:
-    """Picks about one frame a period by the frames' stamps, and says how much time each one stands for."""
+    """Picks about one frame a period by the frames' stamps, with the time that each one stands for."""
 
     def __init__(self, period_s: float, *, early_share: float = 0.0, longest_s: float | None = None) -> None:
         """``early_share``: a frame may come early by this share of the period, for stamps jitter. ``longest_s``: a gap

@@ -1,4 +1,4 @@
-"""Verdicts on what was just learned or calibrated: good, usable or redo, with findings and remedies."""
+"""Verdicts on a trained background or a calibration: good, usable or redo, with findings and remedies."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ GOOD, USABLE, REDO = "good", "usable", "redo"
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong, how much it matters, and what to do.
+    """A fault, its gravity and its remedy.
 
-    grade : USABLE or REDO; GOOD for what is only worth knowing. code : "ABOUT.CONDITION", stable, for scripts; "" for
-    findings that have none.
+    grade : USABLE or REDO; GOOD for information only. code : "ABOUT.CONDITION", stable, for scripts; "" for none.
     """
 
     grade: str
@@ -23,7 +22,7 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """What is wrong and what to do, as a client says it."""
+        """Fault and remedy in one line, as in a client's messages."""
         return f"{self.what}: {self.remedy}"
 
     def __str__(self) -> str:

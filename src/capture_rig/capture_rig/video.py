@@ -2,9 +2,9 @@
 
 with Video(path) as video:
     for image in video: ...
-    video.facts  # what came: how many frames, how far apart
+    video.facts  # the number of frames read, their intervals
 
-What is wrong with files as people have them, cut off, damaged, of a variable or a wrong frame rate, the findings say.
+Findings name the faults of real files: cut off, damaged, of a variable or a wrong frame rate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .verdict import REDO, USABLE, Finding
 
 REMEDY = "Check the file with a video player, or its codec; a recording that was cut off can often be copied whole by "
 REMEDY += "ffmpeg -i FILE -c copy NEW.mkv."
-# what a header gives from here on is the clock of its time stamps (1000: milliseconds; 90000: MPEG), no camera's rate
+# rates in headers from here on are the clock of its time stamps (1000: milliseconds; 90000: MPEG), not a camera's
 CLOCK_RATE = 1000.0
 # grey levels between the channels of a grey picture stored as colour: rounding of the conversion, and chroma that a
 # codec quantised (4:2:0, one step of 2 levels: 1.77 times that in blue); and the share of pixels beyond, where chroma
@@ -32,14 +32,13 @@ MONO_TOLERANCE, COLOURED_SHARE = 4, 1e-3
 # a time stamp may be off by that share of the period before frames count as uneven: containers keep milliseconds, a
 # tenth of the period at 100 Hz; a frame left out, or one that came a period late, is off by a whole one
 UNEVEN = 0.5
-FAR_FEWER = 0.5  # of the frames that were to come: what is left is no capture
+FAR_FEWER = 0.5  # of the expected frames: a video with fewer is unusable
 
 
 @dataclass(frozen=True)
 class VideoFacts:
-    """What came of a video since it was opened or rewound: ``frames``, and the shortest and longest time between
-    neighbours by their time stamps, s, 0 where the file has none. header_frames, fps : as its header says, 0 where it
-    does not."""
+    """Figures of a video since it was opened or rewound: ``frames``, and the shortest and longest time between
+    neighbours by their time stamps, s, 0 if the file has none. header_frames, fps : of its header, 0 if missing."""
 
     path: Path
     header_frames: int
@@ -52,8 +51,8 @@ class VideoFacts:
 class Video:
     """A video file, open for reading until :meth:`close`; also a context manager and an iterator over its frames.
 
-    fps : the file's own rate, Hz, 0 where it tells none that a camera has; header_fps : as it stands there.
-    frame_count : as the file's header says, 0 where it does not.
+    fps : the header's rate, Hz, 0 if missing or not a camera's; header_fps : as it stands there.
+    frame_count : of the header, 0 if missing.
     size_px : width and height of the images.
     """
 
@@ -89,7 +88,7 @@ class Video:
         return image
 
     def skip(self, frames: int) -> int:
-        """Pass over so many frames; returns how many there were. Exact, unlike seeking."""
+        """Skip ``count`` frames; return the number skipped, fewer at the end. Exact, unlike seeking."""
         for k in range(frames):
             if not self._capture.grab():
                 return k
@@ -174,7 +173,7 @@ class VideoFile:
 
 
 def is_grey(image: np.ndarray) -> bool:
-    """True for (H, W), and for (H, W, 3) whose channels are equal but for rounding and what a codec does to chroma."""
+    """Return True for (H, W), and for (H, W, 3) whose channels are equal but for rounding and a codec's chroma."""
     if image.ndim == 2:
         return True
     blue, green, red = cv2.split(image)
@@ -191,7 +190,7 @@ def examine_video(path: str | Path) -> VideoFacts:
 
 
 def video_findings(facts: VideoFacts) -> Iterator[Finding]:
-    """Find what is wrong with one video that was read to its end."""
+    """Yield the faults of one video that was read to its end."""
     if facts.frames == 0:
         yield Finding(REDO, "holds no frame that can be decoded", "Check the file, or its codec.")
         return
@@ -214,8 +213,8 @@ def video_findings(facts: VideoFacts) -> Iterator[Finding]:
 
 
 def ended_findings(videos: Mapping[str, VideoFacts]) -> Iterator[Finding]:
-    """Find what is wrong with each camera's video, all of which were read in step until the first of them ended, and
-    which one that was; the findings name the files."""
+    """Yield the faults of all cameras' videos, which were read in step until the first of them ended, and that one;
+    findings name the files."""
     shortest = min(facts.frames for facts in videos.values())
     first = [facts for facts in videos.values() if facts.frames == shortest]
     others = [facts for facts in videos.values() if facts.frames > shortest]

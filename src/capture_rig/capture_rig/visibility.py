@@ -1,6 +1,7 @@
-"""Visibility of the capture volume: which cameras see a place, where enough do for a hull, what of a sensor it needs.
+"""Visibility of the capture volume: which cameras see a place, where enough do for a hull, which part of a sensor it
+needs.
 
-Outside of it a hull is empty although a body may go on there, so what a hull lacks there is unknown, not absent.
+Outside of it a hull is empty although a body may continue there: the body is unknown there, not absent.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ CELL_M = 0.05  # of the map of places: three voxels, a third of a limb
 
 
 def min_seeing(cameras: int, requested: int = 0) -> int:
-    """Return how many cameras must see a voxel before it can be occupied, when ``cameras`` delivered a silhouette.
+    """Return the number of cameras that must see an occupied voxel, when ``cameras`` delivered a silhouette.
 
     By the rig (``requested`` = 0): three fifths of the cameras, rounded up, but at least three and at most all:
     3 of 3, 3 of 4, 3 of 5, 4 of 6, 5 of 7, 5 of 8. A requested number is lowered to the number of cameras. Never
@@ -36,8 +37,8 @@ def min_seeing(cameras: int, requested: int = 0) -> int:
 class UnseenCells(NamedTuple):
     """A map of the cells (x, y, z) bool, CELL_M wide, in which some place is not seen by enough cameras.
 
-    low (3,) m : corner of the first cell, world. All that lies beside or above the map is unseen too; what lies below
-    it is under the floor, where no body is. A map without cells stands for a rig that is not known: nothing is unseen.
+    low (3,) m : corner of the first cell, world. Places beside or above the map are unseen too; below it is the floor,
+    where no body is. A map without cells stands for an unknown rig: nothing is unseen.
     """
 
     low: Array
@@ -55,11 +56,11 @@ class UnseenCells(NamedTuple):
         return rows
 
     def widened(self) -> UnseenCells:
-        """Return the map with the cells beside unseen ones unseen too, for what is measured over a cell's reach."""
+        """Return the map with the neighbours of unseen cells unseen too, for measurements that extend over a cell."""
         if self.unseen.size == 0:
             return self
         wide = np.pad(self.unseen, ((1, 1), (1, 1), (0, 1)), constant_values=True)
-        wide = np.pad(wide, ((0, 0), (0, 0), (1, 0)), constant_values=False)  # under the floor nobody is
+        wide = np.pad(wide, ((0, 0), (0, 0), (1, 0)), constant_values=False)  # under the floor is no body
         for axis in range(3):
             first, middle, last = (np.take(wide, range(k, wide.shape[axis] - 2 + k), axis) for k in range(3))
             wide = first | middle | last
@@ -143,7 +144,7 @@ class RigVisibility:
 
     @cached_property
     def near_unseen(self) -> UnseenCells:
-        """The same with the cells beside them, for what is measured over a cell's reach."""
+        """The same with their neighbours, for measurements that extend over a cell."""
         return self.unseen_cells.widened()
 
 
@@ -167,7 +168,7 @@ def _seen_pixels(P, seen, points, found):
 MOST_PIXEL_M = 0.012  # two pixels to a voxel of the hull, nearly: finer ones add nothing inside of an outline
 # Thresholds: STEP_PX from sensors, whose regions begin and end at multiples of 16 pixels at the coarsest.
 STEP_PX = 16
-MOST_FOLLOWED_SHARE = 0.012  # of its width: so far a client follows a touched camera's picture, which has that to spare
+MOST_FOLLOWED_SHARE = 0.012  # of its width: largest displacement of a touched camera that a client compensates
 
 
 @dataclass(frozen=True)
@@ -209,10 +210,10 @@ def may_be_halved(camera: CameraModel | None, volume: Volume | None) -> bool:
 
 
 def needed_region(camera: CameraModel, volume: Volume) -> Region:
-    """Return the smallest region whose pixels' rays meet the volume, with some spare; the whole picture when none do.
+    """Return the smallest region whose pixels' rays meet the volume, with a margin; the whole picture when none do.
 
     The binning is the largest that leaves pixels no wider than MOST_PIXEL_M in the middle of the volume: the hull loses
-    nothing, but outlines are placed within such a pixel, and no longer within a finer one.
+    nothing, but outlines are located to within such a pixel only.
     """
     binning = max(int(MOST_PIXEL_M / pixel_width_m(camera, volume)), 1)
     x, y = (np.unique(np.append(np.arange(0, n, STEP_PX // 4), n - 1)) for n in (camera.width, camera.height))
@@ -234,7 +235,7 @@ def _meets(centre_world: Array, rays_world: Array, volume: Volume) -> Array:
 
 
 def _side(needed: Array, size: int, spare_px: float, binning: int) -> tuple[int, int]:
-    """Return offset and size, in binned pixels, of what holds the ``needed`` pixels of a side of ``size`` pixels."""
+    """Return offset and size, in binned pixels, of the range that holds the ``needed`` of a side's ``size`` pixels."""
     if not len(needed):
         return 0, size // binning
     low = max(int((needed[0] - spare_px) / binning) // STEP_PX * STEP_PX, 0)

@@ -22,7 +22,7 @@ def read_mapping(path: Path, remedy: str) -> Mapping[str, Any]:
 
 
 def parse_mapping(text: str, where: str, remedy: str) -> Mapping[str, Any]:
-    """Parses the mapping in a YAML text (empty for an empty text). Raises InputError with ``remedy`` if it is none."""
+    """Parse the mapping in a YAML text (empty for an empty text). Raises InputError with ``remedy`` for other text."""
     document = parse_value(text, where, remedy)
     if document is None:
         return {}
@@ -32,7 +32,7 @@ def parse_mapping(text: str, where: str, remedy: str) -> Mapping[str, Any]:
 
 
 def parse_value(text: str, where: str, remedy: str) -> Any:
-    """Parses any YAML value. Raises InputError naming ``where`` and the line for what is none or passes a limit."""
+    """Parse any YAML value. Raises InputError naming ``where`` and the line for invalid or oversized text."""
     if len(text) > MOST_YAML_BYTES:
         raise InputError(f"is larger than {MOST_YAML_BYTES >> 20} MiB of YAML", where=where, remedy=remedy)
     try:
@@ -43,7 +43,7 @@ def parse_value(text: str, where: str, remedy: str) -> Any:
             loader.dispose()
     except yaml.YAMLError as error:
         raise InputError(f"is not valid YAML ({_problem(error)})", where=where, remedy=remedy) from None
-    except Exception as error:  # whatever PyYAML raises, of a date that is none, a tag without a value, much nesting
+    except Exception as error:  # PyYAML raises many kinds: for an invalid date, a tag without a value, deep nesting
         what = f"is not valid YAML (a value cannot be read: {shortened(str(error), 100)})"
         raise InputError(what, where=where, remedy=remedy) from None
 
@@ -58,12 +58,12 @@ def save_mapping(path: str | Path, document: Mapping[str, Any], heading: str = "
 
 
 def format_mapping(document: Mapping[Any, Any], **style: Any) -> str:
-    """A mapping as YAML text in its own order; what it holds twice is written twice."""
+    """Return a mapping as YAML text in its own order, without aliases."""
     return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, **style)
 
 
 def _problem(error: yaml.YAMLError) -> str:
-    """Return the line and what is wrong there, in one line."""
+    """Return line number and fault in one line."""
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
     if mark is None or problem is None:
         return shortened(" ".join(str(error).split()))
@@ -81,8 +81,8 @@ class _Dumper(yaml.SafeDumper):
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML of so many values at most, aliases followed (an alias of an alias of ... grows exponentially); the same
-    key twice is refused, where the standard loader silently keeps the last."""
+    """Safe YAML with a limit of values, aliases expanded (an alias of an alias of ... grows exponentially); duplicate
+    keys are refused, where the standard loader silently keeps the last."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -92,7 +92,7 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         is_alias, before = self.check_event(yaml.AliasEvent), self._values
         node = super().compose_node(parent, index)
-        # an alias of what it stands in has no size yet
+        # an alias inside its own anchor has no size yet
         self._values += self._size.get(id(node), MOST_VALUES) if is_alias else 1
         if self._values > MOST_VALUES:
             raise _error(f"more than {MOST_VALUES} values", node)

@@ -1,28 +1,29 @@
-"""What the rigid figure of the filter lacks: a trunk that bends, and measured points whose errors last.
+"""Two states beside the filter's rigid figure: the trunk's bend, and the time-correlated bias of measured points.
 
 **Bend.** A person's shoulders and hips move against the torso (`stick_figure.trunk_bend`), and so do the measured
 points: with the torso's motion eliminated from them (Schur complement), their distances from it at rest measure the
-bend's seven numbers. These are an Ornstein-Uhlenbeck process: it fades to rest and keeps the spread that trunks have.
+bend's seven numbers. These are an Ornstein-Uhlenbeck process, which fades to rest with the standard deviation of
+trunks.
 
-**Bias.** A figure fitted to a hull errs in the same way for many sets: the hull is fat on the side that no camera sees,
-a shoulder is no single point. With b the bias and v the noise that is new in every set,
+**Bias.** The errors of a figure fitted to a hull last for many sets: the hull is fat on the side that no camera sees, a
+shoulder is no single point. With b the bias and v the noise that is new in every set,
 
     z_k = h(x_k) + b_k + v_k,     cov b = share R,     cov v = (1 - share) R,
 
-R the covariance that the fit states. The filter's gain is that of v alone: it cannot average b away, and would only lag
-behind the body if it tried. Its memory is a few sets (it follows limbs that accelerate), so b stands still while the
-filter looks, and passes into the estimate in full. In that limit the covariance of the Schmidt-Kalman (consider) filter
-is the filter's own P plus the response to b:
+R the covariance of the fit. The filter's gain is that of v alone: it cannot average b away, and would only lag behind
+the body if it tried. Its memory is a few sets (limbs accelerate), in which b is constant, so b passes into the estimate
+in full. In that limit the covariance of the Schmidt-Kalman (consider) filter is the filter's own P plus the response to
+b:
 
     covariance of a point = H P H' + B,     of the pose = P + c (L + 1/cap^2)^-1 L (L + 1/cap^2)^-1,     L = H' B^-1 H.
 
-Its second term is what 15 points with errors B say about 24 slots, and nothing about a slot that they do not see. They
-come from one fitted figure and are not independent: c = (numbers measured) / (slots determined) undoes that they count
-as if they were.
+Its second term is the covariance of 24 slots from 15 points with errors B, zero for a slot that no point determines.
+The points come from one fitted figure and are not independent: c = (numbers measured) / (slots determined) corrects for
+that.
 
-What lasts is B = share R + the distance of the figure's joint from the person's, of which no fit can know: a marker
-set, a neural network and a radiograph place a hip centimetres apart. Round numbers from what is known of landmarks that
-are located from the outside:
+The bias has B = share R + the distance of the figure's joint from the person's, which no fit can measure: a marker set,
+a neural network and a radiograph place a hip centimetres apart. Round numbers from the literature on landmarks located
+from the outside:
 
 - hip: centres regressed from the pelvis are 20 to 30 mm off (Bell, Pedersen & Brand 1990; Leardini et al., J. Biomech.
   32, 1999), those of pose networks 30 to 50 mm (Needham et al., Sci. Rep. 11, 2021), mostly forward and up.
@@ -32,9 +33,9 @@ are located from the outside:
   (Della Croce et al., Gait & Posture 21, 2005); networks put the knee as far off as the hip.
 - head: the crown under hair. Hand: a fist is up to 85 mm shorter than the stretched hand: evenly spread, 25 mm along.
 
-They were rounded while looking at their coverage on the studio's and the three rendered sessions, the real one with
-four cameras and the first of the mesh people. For rendered people, whose joints are those of the surfaces that the
-figure's was learnt from, they are too large; for the real one not.
+They were rounded by their coverage on the studio's and the three rendered sessions, the real one with four cameras and
+the first of the mesh people. They are too large for rendered people, from whose surfaces the figure's was learnt, but
+not for the real one.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ JOINT_SD_M = np.array(
 """(15, 3) standard deviations, m, in the order of `stick_figure.skeleton.POINT_NAMES`."""
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
 # best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation.
-FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid torso does
+FEWEST_POINTS = 4  # of neck, shoulders and hips: three determine a rigid torso alone
 FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2
 RIGID = 6
 _POINTS = TORSO_POINTS[1:]
@@ -96,14 +97,14 @@ class MeasurementBias:
         self.lasting[used], self.joints[used] = self._share * R[used], self._joints[used]
 
     def noise_of(self, z: Measurement, least_sd_m: float) -> Measurement:
-        """Return the measurement with the covariance of what is new in this set; at least that deviation an axis."""
+        """Return the measurement with the covariance of its new noise, with the floor's deviation an axis at least."""
         least = self._share * least_sd_m**2 * np.eye(3)  # 1 - share of it is in the covariance already
         return Measurement(z.points_world, (1.0 - self._share) * z.covariance + least, z.visible)
 
 
 @njit(cache=True)
 def add_measurement_bias(at, pose, lasting, joints, least_information, points, state):
-    """points (15, 3, 3) and state (>= 24, >= 24) += what lasts, as the module's derivation says.
+    """points (15, 3, 3) and state (>= 24, >= 24) += covariance of the bias, by the module's derivation.
 
     lasting, joints : of :class:`MeasurementBias`; least_information : 1/cap^2, 1/rad^2.
     """
@@ -140,15 +141,15 @@ def add_measurement_bias(at, pose, lasting, joints, least_information, points, s
 
 
 class TrunkBendFilter:
-    """Estimate (7,) of the bend and its covariance, rest and what people bend by at first."""
+    """Estimate (7,) of the bend and its covariance, at first rest and people's spread."""
 
     def __init__(self, scale: float) -> None:
-        """``scale`` : how far trunks bend, over what is usual; 0 for a rigid torso."""
+        """``scale`` : standard deviations over the usual ones; 0 for a rigid torso."""
         self._is_rigid, self._rest_variance, self._stamp_ns = scale == 0.0, (scale * REST_SD) ** 2, -1
         self.bend, self.covariance = np.zeros(BEND_NUMBERS), np.diag(self._rest_variance)
 
     def bent(self, body: Body, stamp_ns: int, z: Measurement) -> Body:
-        """Return the body as its trunk is bent in a set of measured points, their covariance what is new in it."""
+        """Update the bend with a set of measured points, covariance of their new noise; return the bent body."""
         if self._is_rigid:
             return body
         passed_s = 0.0 if self._stamp_ns < 0 else (stamp_ns - self._stamp_ns) * NS

@@ -30,7 +30,7 @@ NONE = np.zeros(15, bool)
 
 
 class ArticulatedEkf:
-    """Follows one body. Deterministic: equal calls give equal bytes.
+    """Tracks one body. Deterministic: equal calls give equal bytes.
 
     Call :meth:`step` once for each frame set, in stamp order.
     """
@@ -49,8 +49,8 @@ class ArticulatedEkf:
     def set_body(self, body: Body) -> None:
         """Track this body from the next set on.
 
-        Other sizes of the same person, known better now, leave pose, velocity and their covariance as they are. Sizes
-        that differ by more than a T-pose errs are another person's: then the filter starts anew.
+        Refined sizes of the same person keep pose, velocity and their covariance. Sizes that differ by more than the
+        error of a T-pose are another person's: then the filter starts anew.
         """
         before = self.body
         if body is before or (before is not None and body_numbers(body) == body_numbers(before)):
@@ -82,10 +82,10 @@ class ArticulatedEkf:
         """Predict to a frame set's stamp, then update with its points: the thesis's Algorithm 3 for one set.
 
         points_world (15, 3) m; covariance (15, 3, 3) m^2; visible (15,) bool: the others' numbers do not matter.
-        doubtful (15,) bool : points that may be elsewhere, as whoever measured them says; their covariance has to say
-        it too. moved (15,) bool : points that were found in another place: what the filter knew of their limbs was
-        wrong. Raises InputError, before the filter moves, for a stamp that is not later than the last one, points that
-        are not finite, and covariances that are none.
+        doubtful (15,) bool : points that may be elsewhere, by the tracker, with a covariance to match. moved (15,)
+        bool : points that were found in another place: the filter's state of their limbs was wrong. Raises InputError,
+        before the filter moves, for a stamp that is not later than the last one, points that are not finite, and
+        invalid covariances.
         """
         z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
         return self.step_measured(stamp_ns, z, doubtful, moved)
@@ -117,8 +117,8 @@ class ArticulatedEkf:
 class PeopleFilter:
     """One filter for every person that is measured. Deterministic: equal calls give equal bytes.
 
-    The first person's filter is always there. Another's is made with the first measurement of that person and dropped
-    with the first set that holds none.
+    The first person's filter always exists. Others are made with a person's first measurement and dropped with the
+    first set without one.
     """
 
     def __init__(self, settings: EkfSettings | None = None) -> None:
@@ -135,13 +135,13 @@ class PeopleFilter:
 
     @property
     def bodies(self) -> Mapping[int, Body]:
-        """The body of everybody who has one, by number, as the filters use it."""
+        """The filters' bodies, by person."""
         return {person: ekf.body for person, ekf in self._filters.items() if ekf.body is not None}
 
     def step(self, people: FittedPeople) -> dict[int, BodyState | NoState]:
-        """Answer one frame set: predict everybody, update with their points; persons that are not measured go.
+        """Predict everybody to a frame set and update with their points; drop persons that are not measured.
 
-        Raises InputError, before any filter moves, for points that are not finite or covariances that are none.
+        Raises InputError, before any filter moves, for points that are not finite or invalid covariances.
         """
         measured = {
             person: (Measurement.checked(points, covariance, visible, POINT_SD_FLOOR_M), doubtful, moved)
@@ -159,7 +159,7 @@ class PeopleFilter:
 
 
 def warm_up() -> None:
-    """Run a filter of its own over some sets, so that compiling does not hold up the first real one."""
+    """Run a filter over some made-up sets, so that compiling does not delay the first real one."""
     body = Body.from_stature(1.75)
     points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
     covariance = np.tile(np.eye(3) * 1e-4, (15, 1, 1))

@@ -40,7 +40,7 @@ UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 class BodyFrames:
-    """Publishes the frames of those who are tracked, once a frame set: of the torso, and of the ``links``."""
+    """Publishes the frames of tracked persons, once a frame set: of the torso, and of the ``links``."""
 
     def __init__(self, node: Node, links: bool, frame_id: str) -> None:
         self._frame_id, self._links, self._publisher = frame_id, links, FramePublisher(node)

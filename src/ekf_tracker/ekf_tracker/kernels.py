@@ -32,7 +32,7 @@ from .measurement import add_information, empty_linearised, linearise, moved, po
 N = 24
 # Thresholds: rounding from arithmetic; LINEAR_M judgement.
 LINEAR_M = 1e-3
-"""When every point is this close to where the linearisation said, linearising again is not worth it."""
+"""Largest distance of all points from their linearised places at which the update is not relinearised."""
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -75,7 +75,7 @@ def predict_estimate(estimate, transition, joint_sd_cap_rad):
     f_cross, f_velocity, q_pose, q_cross, q_velocity = transition
     out = np.empty_like(P)
     for i in range(N):
-        for j in range(N):  # each sum in an order that its mirror image shares, so that the result is exactly symmetric
+        for j in range(N):  # each sum in the order of its mirror image, so that the result is exactly symmetric
             cross = P[i, N + j] * f_cross[j] + f_cross[i] * P[N + i, j]
             out[i, j] = (P[i, j] + cross) + (f_cross[i] * f_cross[j]) * P[N + i, N + j]
             out[i, N + j] = (P[i, N + j] + f_cross[i] * P[N + i, N + j]) * f_velocity[j]
@@ -100,8 +100,8 @@ def correct_estimate(sizes, prior, start, z, options):
 
     Each iteration is one Gauss-Newton step on the sum of the points' and the prior's squared residuals (Bell &
     Cathey 1993). ``start`` : arrays of the pose of the first linearisation. Joint limits move the mean but are left out
-    of the covariance: that an arm cannot be there does not say where it is. Elbows and knees come out bent the right
-    way. ValueError when the prior's covariance is not positive definite.
+    of the covariance, as they exclude places and measure none. Elbows and knees come out bent the right way. ValueError
+    when the prior's covariance is not positive definite.
     """
     (prior_pose, velocity, P), pose = prior, copied(start)
     L, Y, V, offset = iterate_update(prior_pose, pose, P, sizes, z, options)
@@ -176,7 +176,7 @@ def _normal_equations(at, weights, z, L, g):
 
 @njit(cache=True)
 def _linearise_and_compare(pose, sizes, visible, step, at):
-    """at <- linearisation at the pose; returns how far (m, any axis) the visible points are from where it had them."""
+    """at <- linearisation at the pose; returns the largest change (m, any axis) of a visible point's prediction."""
     expected = np.empty((15, 3))
     for point in range(15):
         expected[point, 0], expected[point, 1], expected[point, 2] = moved(at, point, step)

@@ -1,7 +1,7 @@
 """The filter's measurement: 15 reference points with a covariance each (thesis eq. 5.48), and their prediction.
 
 The measurement function h gives the 15 points of a pose (thesis Table 5.2), H is its Jacobian (Table 5.8). The pose's
-state arrays (t0, R0, RJ, hinges) are those of `stick_figure.kernels`. A point hangs from at most eleven of the 24
+state arrays (t0, R0, RJ, hinges) are those of `stick_figure.kernels`. A point depends on at most eleven of the 24
 tangent slots, and only those columns of its Jacobian are kept.
 """
 
@@ -25,7 +25,7 @@ POINTS = len(POINT_NAMES)
 ASYMMETRY_M2 = 1e-9
 """m^2: more than rounding of float32 leaves between the two triangles of a covariance."""
 WIDTH = 11
-"""Columns that are kept of a point: at most ten are used, one spare as `kernels.point_jacobian` asks for."""
+"""Columns that are kept of a point: at most ten are used, one is spare for `kernels.point_jacobian`."""
 
 
 class Measurement(NamedTuple):
@@ -98,7 +98,7 @@ def linearised(body: Body, pose: Pose) -> Linearised:
 
 @njit(cache=True)
 def _copy_visible(points_world, covariance, visible, floor, z, R):
-    """z and R <- what is visible, the floor (m^2) added to each variance; the last point that is useless, or -1."""
+    """z and R <- the visible points, the floor (m^2) added to each variance; returns the last invalid point, or -1."""
     bad = -1
     for point in range(POINTS):
         good = True

@@ -1,4 +1,4 @@
-"""How the body is expected to move between two frame sets: strategies with one interface.
+"""Motion models of the body between two frame sets: strategies with one interface.
 
 A motion model gives the matrices of the prediction step (thesis Table 5.5, with the a-posteriori state and covariance
 of the previous set on the right-hand side):
@@ -10,10 +10,10 @@ diagonal. About its own estimate the error of the pose is zero, so the pose move
 becomes ``f_velocity v``. Turning of the error's own axes during one step is neglected: it is of second order.
 
 A limb at rest is tracked best with little process noise; one that strikes needs a hundred times as much for a few sets.
-Which it is, its own measured points tell: while the model holds, the squared Mahalanobis distance of a point's
-innovation is chi-square with 3 degrees of freedom. Where it is larger, the process noise of that limb over the last
-prediction is raised to what muscles do (adjustable process noise: Bar-Shalom, Li & Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 11.2.2). What lies beyond even that, one set later, is no motion: the limb was
+Its measured points decide: while the model holds, the squared Mahalanobis distance of a point's innovation is
+chi-square with 3 degrees of freedom. Where it is larger, the process noise of that limb over the last prediction is
+raised to the accelerations of muscles (adjustable process noise: Bar-Shalom, Li & Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 11.2.2). If even that does not explain a point one set later, the limb was
 elsewhere before.
 """
 
@@ -77,7 +77,7 @@ class StateTransition(NamedTuple):
         return StateTransition(self.pose, self.cross + step.f_cross * self.velocity, step.f_velocity * self.velocity)
 
     def keeping(self, pose: np.ndarray, velocity: np.ndarray) -> StateTransition:
-        """Return what is left of it when only these slots (24,) bool of pose and velocity are kept."""
+        """Return the prediction restricted to these slots (24,) bool of pose and velocity."""
         return StateTransition(pose * self.pose, pose * self.cross, velocity * self.velocity)
 
     @property
@@ -94,8 +94,8 @@ NO_TRANSITION = StateTransition(np.ones(24), np.zeros(24), np.ones(24))
 class DampedVelocity:
     """Constant velocity that fades: dv = -damping v dt + white acceleration, dx = v dt, solved in closed form.
 
-    ``kept`` of the velocity is left after ``reference_period`` seconds, and an acceleration of standard deviation
-    ``accelerations`` is drawn anew in each such period. Because the process runs in continuous time (integrated
+    The share ``kept`` of the velocity remains after ``reference_period`` seconds, and an acceleration of standard
+    deviation ``accelerations`` is drawn in each such period. Because the process runs in continuous time (integrated
     Ornstein-Uhlenbeck), the filter behaves alike at every frame rate, and one prediction over a gap equals many
     small ones.
 
@@ -136,8 +136,8 @@ class DampedVelocity:
 class Identity:
     """The thesis's model (5.2): A = I, "all the motion can be represented as noise", Q = (rates * dt)^2.
 
-    The pose's part is exactly the thesis's. So that a velocity comes out all the same, the noise is read as a velocity
-    drawn anew at every set and held until the next one: it moves the pose by (velocity * dt) and is forgotten.
+    The pose's part is exactly the thesis's. To provide a velocity, the noise is taken as a velocity drawn at every set
+    and held until the next one: it moves the pose by (velocity * dt) and is forgotten.
 
     rates : (m/s torso position, rad/s torso rotation, ball joints, hinges)
     """
@@ -180,7 +180,7 @@ def _frozen(**diagonals: np.ndarray) -> Transition:
 
 
 def limbs_beyond_noise(distances: np.ndarray) -> np.ndarray:
-    """Return the slots (24,) bool of the limbs that a point's squared distance (15,) says to accelerate."""
+    """Return the slots (24,) bool of the limbs that accelerate, by the points' squared distances (15,)."""
     return np.isin(_LIMB_OF_SLOT, _LIMB_OF_POINT[distances > EXPECTED])
 
 

@@ -1,7 +1,7 @@
 """The topics of each person, and their messages: mocap/... of the first, mocap/bodies/ID/... of everybody.
 
-Publishers under mocap/bodies/ID are made when the person appears, and closed when the person has been away for
-CLOSED_AFTER_S: whoever listens has heard of the leaving by then. Viewers drop markers that nothing replaces.
+Publishers under mocap/bodies/ID are made when the person appears, and closed CLOSED_AFTER_S after the person has left,
+when subscribers have received the last state. Viewers drop markers that are not replaced.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ LIFETIME_S = 1
 TRACKED_COLOUR, DOUBTFUL_COLOUR = (ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in ((0.2, 0.8, 0.3), (0.95, 0.7, 0.1)))
 PART_OF_STICK = (0, 0, 1, 2, 3, 4, 1, 2, 3, 4)
 _PERSONS = ((0.34, 0.71, 0.91), (0.80, 0.47, 0.65), (0.0, 0.45, 0.70), (0.94, 0.89, 0.26))
-"""Sky blue, purple, blue, yellow: told apart by the colour-blind (Okabe and Ito 2008), and from the states' colours."""
+"""Sky blue, purple, blue, yellow: distinct for the colour-blind (Okabe and Ito 2008), and from the states' colours."""
 
 Answer = BodyState | NoState
 
@@ -106,7 +106,7 @@ class PersonTopics:
         covariance = state.covariance[POSE, POSE]
         self._joint_covariance.publish(covariance_cloud, TANGENT_NAMES, covariance, stamp_ns, frame)
         self._reference_points.publish(packet_cloud, state.reference_points, stamp_ns, frame)
-        if not self._due_ns - self._period_ns <= stamp_ns < self._due_ns:  # also when stamps began anew
+        if not self._due_ns - self._period_ns <= stamp_ns < self._due_ns:  # also when stamps went back
             self._due_ns = stamp_ns + self._period_ns
             drawn = cache(lambda: skeleton_markers(state, body, frame, self._namespace, self._colour))
             for skeletons in self._skeletons:
@@ -119,7 +119,7 @@ class PersonTopics:
             self._description.publish(lambda: String(data=body_urdf(body, self._body_id)))
 
     def publish_state(self, answer: Answer) -> None:
-        """Publish how far to trust an answer."""
+        """Publish the quality of a person's state."""
         self.last = answer
         self._state.publish(state_message, answer, self._name)
 
@@ -139,7 +139,7 @@ class PeopleTopics:
     """Publishes everybody's answers to one frame set after another."""
 
     def __init__(self, node: Node, settings: EkfNodeSettings, tf_prefix: str, on_closed: Callable[[str], None]) -> None:
-        """``on_closed(body_id)`` is called when a person has left for good. InputError for a body_id that is none."""
+        """``on_closed(body_id)`` is called when a person has left for good. InputError for an invalid body_id."""
         self._node, self._settings, self._prefix, self._on_closed = node, settings, tf_prefix, on_closed
         self._first = PersonTopics(node, "mocap", self.id_of(FIRST_PERSON), settings)
         self._all_skeletons = LazyPublisher(node, MarkerArray, "mocap/skeletons")
@@ -161,7 +161,7 @@ class PeopleTopics:
             self._persons[person].publish_body(state, body)
 
     def publish_states(self, answers: Mapping[int, Answer], stamp_ns: int) -> None:
-        """Publish how far to trust each answer; who is not among them has left."""
+        """Publish the quality of each person's state; persons not among them have left."""
         self._first.publish_state(answers[FIRST_PERSON])
         for person, topics in list(self._persons.items()):
             if person in answers:
@@ -188,7 +188,7 @@ class PeopleTopics:
         return PersonTopics(self._node, topics, body_id, self._settings, f"{body_id}/", colour, every)
 
     def _away(self, person: int, topics: PersonTopics, stamp_ns: int) -> None:
-        """Say once that a person has left; close the topics of one who has been away for long."""
+        """Publish once that a person has left; close the topics after CLOSED_AFTER_S."""
         last = topics.last
         if last is None or last.reason != LEFT:
             topics.publish_state(NoState(stamp_ns, LEFT, Tracking.LOST))
@@ -218,7 +218,7 @@ def rotations_message(state: BodyState, frame_id: str) -> MultiDOFJointState:
 
 
 def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatus:
-    """Return what the tracker thinks of itself: message = its state; values = why, and the parts' states."""
+    """Return the tracker's quality: message = its state; values = why, and the parts' states."""
     values = {"reason": state.reason, "stamp_ns": str(state.stamp_ns)}
     if isinstance(state, BodyState):
         values["points_used"] = str(int(state.accepted.sum()))
@@ -238,10 +238,10 @@ def silence_message(tracking: Tracking, reason: str, node_name: str) -> Diagnost
 def skeleton_markers(
     state: BodyState, body: Body, frame_id: str, namespace: str = "", colour: ColorRGBA | None = None
 ) -> MarkerArray:
-    """Sticks as one line list, joints as one sphere list; sticks in ``colour``, None for that of the state.
+    """Return sticks as one line list, joints as one sphere list; sticks in ``colour``, None for that of the state.
 
-    Doubtful parts of the body have the colour of doubt. Namespaces and ids stay the same from set to set, so a viewer
-    replaces what it shows; what is replaced no longer disappears after LIFETIME_S.
+    Doubtful parts of the body have the colour of doubt. Namespaces and ids stay the same from set to set, so that a
+    viewer replaces the markers; the last ones disappear after LIFETIME_S.
     """
     usual = TRACKED_COLOUR if state.tracking == Tracking.TRACKING else DOUBTFUL_COLOUR
     header, of_sticks = _header(state.stamp_ns, frame_id), colour or usual

@@ -30,7 +30,7 @@ HRI_JOINT_NAMES = (
     *(f"{side}_{name}" for side in "lr" for name in ("y_hip", "p_hip", "r_hip", "knee")),
 )
 BODY_ID = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-STEP_S = 1e-4  # of the difference that gives rates: 20 rad/s turn by 2 mrad, so the error is some 1e-3 of them
+STEP_S = 1e-4  # of the finite difference of rates: 20 rad/s turn by 2 mrad, so the error is some 1e-3 of them
 SHOULDER_PITCH_LOW = -0.4
 """rad; lower limit of p_shoulder in the URDF."""
 
@@ -53,7 +53,7 @@ _ARM_TO_HANGING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 def body_id_of(first_id: str, person: int) -> str:
     """Return the id of a person, given that of person 1: b0001, b0002, ...; an id without a number gets one.
 
-    Raises InputError when ``first_id`` is no REP-155 id: letters, digits and underscores, a letter first.
+    Raises InputError when ``first_id`` is not a REP-155 id: letters, digits and underscores, a letter first.
     """
     if not BODY_ID.fullmatch(first_id):
         what, remedy = f"{first_id!r} is no REP-155 id", "as in b0001."
@@ -146,7 +146,7 @@ def human_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:
 
 
 def human_segments(body: Body, mass_kg: float | None = None) -> dict[str, Segment]:
-    """Return what each link carries, in its frame."""
+    """Return the segment of each link, in its frame."""
     own, upright, moved = segments(body, mass_kg), np.eye(3), {}
     moved["torso"] = own["torso"].moved(upright, np.array([0.0, 0.0, -body.half_lengths[0]]))
     moved["p_head"] = own["head"]

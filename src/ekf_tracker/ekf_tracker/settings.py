@@ -18,8 +18,8 @@ NO_FRAMES, TORSO_FRAME, LINK_FRAMES = TF_CHOICES = ("none", "torso", "links")
 class MeasurementBiasSettings:
     """Time-correlated bias of the measured points; see `bias`.
 
-    share : of a measured point's covariance (0: independent noise in every set). joints : how far a person's joints
-    lie from the figure's, over what is usual (0: nowhere else).
+    share : of a measured point's covariance (0: independent noise in every set). joints : distances of a person's
+    joints from the figure's, over the usual ones (0: none).
     """
 
     share: float = BIAS_SHARE
@@ -28,9 +28,9 @@ class MeasurementBiasSettings:
 
 @dataclass(frozen=True)
 class EkfSettings:
-    """Everything about the filter that can be changed, from Python where it is no parameter.
+    """All settings of the filter; those that are not parameters are for Python code.
 
-    bend : how far the trunk bends, over what is usual in daily movement (0: a rigid torso). limit_sd_rad : of an angle
+    bend : of the trunk, standard deviations over those of daily movement (0: a rigid torso). limit_sd_rad : of an angle
     outside its joint's range, as a soft cost beyond the range alone (0: no limits).
     """
 

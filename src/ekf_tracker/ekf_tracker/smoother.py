@@ -4,12 +4,11 @@ With x_k, P_k the filter's estimate after set k, x'_{k+1}, P'_{k+1} its predicti
 
     G = P_k F' P'_{k+1}^-1,    x^s_k = x_k (+) G (x^s_{k+1} (-) x'_{k+1}),    P^s_k = P_k + G (P^s_{k+1} - P'_{k+1}) G'
 
-(Rauch, Tung & Striebel, AIAA Journal 3, 1965; differences in the tangent of the pose, as for the filter itself). A set
-without points, or with points that the fit itself doubts, is so filled from both sides, with the covariance that says
-how far it was from the nearest one that was seen. Where the filter lost a limb and found it elsewhere, or started anew,
-nothing passes back.
+(Rauch, Tung & Striebel, AIAA Journal 3, 1965; differences in the tangent of the pose, as for the filter itself). So a
+set without points, or with doubtful ones, is filled from both sides, with a covariance that grows with the distance to
+the nearest observed one. Where the filter lost a limb and found it elsewhere, or started anew, nothing passes back.
 
-What lasts of the errors (`bias`) no smoothing removes. It is added as the filter adds it.
+Smoothing does not remove the bias of the points (`bias`); it is added as the filter adds it.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ SMALLEST_VARIANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Set:
-    """One frame set of a take: its stamp, the fitted points, and the body that was followed then (None: none yet)."""
+    """One frame set of a take: its stamp, the fitted points, and the body tracked then (None: none yet)."""
 
     stamp_ns: int
     points: ReferencePoints
@@ -47,8 +46,8 @@ class Set:
 
 @dataclass(frozen=True, eq=False)
 class _Filtered:
-    """What the backward pass needs of a set: the state, the track it belongs to, the estimate before and after the
-    set's points, F (48, 48) from the set before, and what lasts of the points' errors (of `MeasurementBias`)."""
+    """A set's data for the backward pass: the state, its track, the estimate before and after the set's points, F
+    (48, 48) from the set before, and the points' `MeasurementBias`."""
 
     state: BodyState
     track: BodyTrack

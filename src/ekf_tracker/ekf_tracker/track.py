@@ -47,7 +47,7 @@ ALL = np.ones(24, bool)
 
 
 class BodyTrack:
-    """Estimate and memory of one body that is followed from a first measurement on.
+    """Estimate and memory of one body that is tracked from a first measurement on.
 
     Needs :func:`enough_to_start` of that measurement. ``body`` may be set to other sizes of the same body.
     """
@@ -100,9 +100,9 @@ class BodyTrack:
         """Correct the estimate with the points of the predicted stamp (thesis Table 5.7), of which some are doubtful,
         and some were found in another place.
 
-        A limb whose points the quiet process noise does not explain is taken to accelerate. Of one that was found
-        elsewhere, or is farther off than it can have gone since the set before, what was known is released. None when
-        that is the torso: the track has to start anew.
+        A limb whose points the quiet process noise does not explain is taken to accelerate. The state of a limb that
+        was found elsewhere, or is farther off than it can have moved since the set before, is released. None when that
+        is the torso: the track has to start anew.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
@@ -119,7 +119,7 @@ class BodyTrack:
         start = prior.arrays
         if anew.any():
             prior = self._release_limbs(prior, anew)
-        if anew.any() or accelerating.any():  # angles that turned far: the way is not straight, so start at its end
+        if anew.any() or accelerating.any():  # angles turned far, a curved path: linearise at its end first
             start = pose_of_points(self.body, noise, prior.pose).arrays
         self._estimate = self._prior = prior
         if z.visible.any():
@@ -150,7 +150,7 @@ class BodyTrack:
         self._F = self._F.keeping(ALL, ~ALL)
 
     def _release_limbs(self, prior: Estimate, anew: np.ndarray) -> Estimate:
-        """The prior without any knowledge of the joints above the points (15,) ``anew`` (of the torso, for its own)."""
+        """Return the prior with the joints above the points (15,) ``anew`` unknown (of the torso, for its own)."""
         at, moves = linearised(self.body, prior.pose), np.zeros(24, bool)
         for point in np.flatnonzero(anew):
             moves[at.slots[point, 6 : at.columns[point]]] = True
@@ -207,9 +207,9 @@ def enough_to_start(z: Measurement) -> bool:
 
 
 def first_estimate(body: Body, z: Measurement, motion: MotionModel, options: UpdateOptions) -> Estimate:
-    """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
+    """Start from inverse kinematics, then one update of a wide prior, so that the covariance is the points' own.
 
-    Joints that no visible point bears on keep the T-pose and the prior's standard deviation; the velocity is unknown.
+    Joints that no visible point determines keep the T-pose and the prior's standard deviation; the velocity is unknown.
     Needs :func:`enough_to_start`.
     """
     resting = Pose.from_angles(*_torso_of(body, z), T_POSE_ANGLES)

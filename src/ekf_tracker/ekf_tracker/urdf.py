@@ -92,8 +92,8 @@ def body_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:
 
 
 def _joint_ranges() -> dict[str, Range | None]:
-    """Return the range of each joint, rad, with what its angles may exceed it by; None of a whole turn, which goes on
-    beyond that from set to set."""
+    """Return the range of each joint, rad, with its tolerance; None of a joint with a whole turn, whose angle is
+    continuous beyond it."""
     slack = np.full(len(ANGLE_NAMES), BALL_SLACK_RAD)
     slack[HINGE_ANGLES] = HINGE_SLACK_RAD
     low, high = (ANGLE_LOW - slack).tolist(), (ANGLE_HIGH + slack).tolist()
@@ -112,10 +112,10 @@ def robot_urdf(
     prefix: str = "",
     suffix: str = "",
 ) -> str:
-    """Return a robot of these joints, the first one's parent the root; ``parts`` : what links carry, by link.
+    """Return a robot of these joints, the first one's parent the root; ``parts`` : segments by link.
 
-    ``range_of`` a joint's name : rad, None where it turns for ever. The names of links stand between prefix and suffix,
-    those of joints have the suffix alone. Nothing drives a person's joints, so their effort is 0.
+    ``range_of`` a joint's name : rad, None if unlimited. The names of links stand between prefix and suffix, those of
+    joints have the suffix alone. A person's joints have no drive, so their effort is 0.
     """
     robot = ElementTree.Element("robot", name=name)
     material = ElementTree.SubElement(robot, "material", name="skin")
@@ -139,7 +139,7 @@ def robot_urdf(
 
 
 def _add_link(robot: ElementTree.Element, name: str, segment: Segment | None) -> None:
-    """Add a link: what it looks like, what it collides with, its inertia; without a segment it has no extent."""
+    """Add a link with visual, collision and inertia; without a segment it has no extent."""
     link = ElementTree.SubElement(robot, "link", name=name)
     if segment is None:
         return
@@ -194,8 +194,8 @@ class Segment(NamedTuple):
 
 
 def segments(body: Body, mass_kg: float | None = None) -> dict[str, Segment]:
-    """Return what each stick carries, by its name, in its frame; the torso's lies in its middle, the others begin with
-    theirs."""
+    """Return the segment of each stick by name, in its frame, whose origin is the stick's start, of the torso its
+    middle."""
     surface, found = BodySurface.of(body), dict[str, Segment]()
     for stick, inertia in enumerate(segment_inertias(body, mass_kg)):
         own = surface.stick == stick

@@ -1,1 +1,1 @@
-"""The wire format of GigE Vision 2.x, pure and without dependencies: what a camera and its client both speak."""
+"""The wire format of GigE Vision 2.x between camera and client, pure and without dependencies."""

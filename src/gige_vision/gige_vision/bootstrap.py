@@ -1,4 +1,4 @@
-"""Bootstrap registers that every GigE Vision device has at fixed addresses, and what their bits mean."""
+"""Bootstrap registers that every GigE Vision device has at fixed addresses, and the meaning of their bits."""
 
 from __future__ import annotations
 

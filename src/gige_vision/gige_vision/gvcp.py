@@ -65,7 +65,7 @@ class Command(IntEnum):
 
 
 class Status(IntEnum):
-    """Status codes of acknowledges and of stream packets, of those that are used here."""
+    """Status codes of acknowledges and of stream packets, as far as they are used here."""
 
     SUCCESS = 0x0000
     PACKET_RESEND = 0x0100

@@ -18,7 +18,7 @@ LAST_BLOCK_ID = 0xFFFF
 _HEADER = struct.Struct(">HHI")
 _LEADER = struct.Struct(">HHQIIIIIHH")
 _TRAILER = struct.Struct(">HHI")
-IMAGE = 0x0001  # what a block holds
+IMAGE = 0x0001  # payload type of a block
 
 
 class Content(IntEnum):
@@ -45,7 +45,7 @@ def packet_header(content: Content, block_id: int, packet_id: int, status: int =
 
 
 def image_leader(timestamp: int, pixel_format: int, size_px: tuple[int, int], offset_px: tuple[int, int]) -> bytes:
-    """Return the leader's body: when the image was taken (ticks of the device's clock) and what it is.
+    """Return the leader's body: stamp of the image (ticks of the device's clock), pixel format, size.
 
     size_px, offset_px : across and down; rows are not padded.
     """
@@ -82,5 +82,5 @@ class PixelFormat(IntEnum):
         return not self.name.startswith("Mono")
 
     def image_bytes(self, width: int, height: int) -> int:
-        """Bytes of an image of so many pixels."""
+        """Return the number of bytes of an image, given its pixels."""
         return (self >> 16 & 0xFF) * width * height // 8

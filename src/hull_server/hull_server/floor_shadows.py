@@ -1,4 +1,4 @@
-"""Tells floor in shadow from the person, with all cameras together.
+"""Separates floor in shadow from the person, with all cameras together.
 
 A camera sends three kinds of foreground (``capture_rig.mask_levels``): sure pixels; candidates, whose texture says that
 they are shadow; and attenuated pixels, which are the person unless other cameras know better. A cast shadow lies on the
@@ -8,8 +8,8 @@ views of the floor is that of Khan and Shah, ECCV 2006, who find feet with it). 
 candidate when another camera sees its floor place equally attenuated, and no more cameras contradict (bright floor,
 another attenuation) than agree; cameras that see the person in front of it are not counted.
 
-A candidate is evidence of floor in shadow, and weak evidence against a body: one camera's denies the voxels next to the
-floor and has no say about those higher up, where the other cameras decide; two cameras' deny a voxel at any height.
+A candidate is evidence of floor in shadow, and weak evidence against a body: one camera's vetoes the voxels next to the
+floor and counts as unseen higher up, where the other cameras decide; two cameras' veto a voxel at any height.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from .grid import BRICK_EDGE, BrickVolume, VoxelGrid
 from .silhouette_batch import BLIND, SilhouetteBatch
 from .views import Box, Masks, RigViews
 
-# Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
-TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ and agree
+# Thresholds: chosen by the shadows resolved in the studio's rooms (python bench/rooms.py, "judged").
+TOLERANCE = 1  # attenuation steps of a tenth by which agreeing cameras may differ
 STRIDE = 3  # every third row and column is tested
-FLOOR_M = 0.08  # what is lower, voxel or camera, may be floor: soles, and errors of floor and calibration
+FLOOR_M = 0.08  # voxels and cameras lower than this may be floor: soles, and errors of floor and calibration
 
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
 ABOVE_UNCERTAIN = FIRST_BITS * np.uint64(SHADOW_CANDIDATE - UNCERTAIN)  # added to every byte: carries into its high bit

@@ -76,14 +76,14 @@ class HullNode(SagomaNode):
         self._closing.append(self.silhouettes.close)
 
     def _publish_frames(self, rig: Rig) -> None:
-        """Say where the cameras are, for whoever listens, now and later."""
+        """Publish the cameras' frames (latched)."""
         frames = FramePublisher(self, static=True)
         now_ns = self.get_clock().now().nanoseconds
         frames.publish(lambda: list(camera_frames(rig, self.settings.frame_id, now_ns, self.tf_prefix)))
         self._closing.append(frames.close)
 
     def _load_rig(self) -> Rig:
-        """Load the rig of the settings, and note its canvases."""
+        """Load the rig of the settings and its canvases."""
         if not self.settings.rig_file:
             raise InputError(
                 "rig_file is not set",
@@ -149,7 +149,7 @@ class HullNode(SagomaNode):
         frame_set, frame_id, taken_ns = pending.frame_set, self.settings.frame_id, monotonic_ns()
         result = self._pipeline.finish(pending)
         self._mesh.newest = result
-        # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
+        # before the products: the tracker's answer to them paces footage, and the cameras need this by then
         for report in result.support:
             self._supports[report.camera].publish(support_message, report, self.tf_prefix)
         products, handed_over_ns = result.products, monotonic_ns()
@@ -173,7 +173,7 @@ class HullNode(SagomaNode):
             self._overload.add_finished(frame_set.stamp_ns, carver_ns, monotonic_ns() - taken_ns, handed_over_ns)
 
     def _describe(self) -> dict[str, object]:
-        """The counters, and what the newest set says of the cameras, for the diagnostics."""
+        """Return the counters and the newest set's camera faults for the diagnostics."""
         values: dict[str, object] = {} if self.silhouettes is None else dict(self.silhouettes.counters())
         return values | (camera_values(self._newest) if self._newest is not None else {})
 

@@ -36,11 +36,11 @@ Mask = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class PendingHull:
-    """A frame set that was carved: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`.
+    """A carved frame set, passed from :meth:`HullPipeline.begin` to :meth:`HullPipeline.finish`.
 
     masks : of the cameras that were carved with, shadows resolved. blank : cameras whose silhouette is empty; they
     empty the hull wherever they see. camera_faults : cameras that contradict the others; those left out were not carved
-    with. min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
+    with. min_seeing : number of cameras that had to see a voxel. stage_ms : time spent in each stage.
     """
 
     frame_set: FrameSet[Mask]
@@ -64,8 +64,8 @@ class PendingHull:
 class HullResult(PendingHull):
     """The hull of one frame set.
 
-    products : what travels on to the tracker. bodies : the parts of the hull large enough to be a person, numbered.
-    support : where each camera's foreground can be a body, as far as the others see; a few times a second, else empty.
+    products : for the tracker. bodies : the parts of the hull large enough to be a person, numbered. support : where
+    each camera's foreground can be a body by the other cameras; a few times a second, else empty.
     """
 
     products: HullProducts
@@ -86,7 +86,7 @@ class HullPipeline:
         self.grid = VoxelGrid.covering(rig.volume, settings.voxel_size_m)
         self.backend, self.backend_reason = make_backend(settings.backend, self.views, self.grid)
         self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
-        # who is faulty has no say, so without that test there is no report
+        # faulty cameras must not vote, so without that test there is no report
         self._support = SupportReporter(rig, self.views, settings.min_seeing) if settings.camera_fault.enabled else None
         self._shadows = ShadowResolver(self.views, rig.volume, self.grid)
         self._bodies = BodyTracker(settings.body)
@@ -102,7 +102,7 @@ class HullPipeline:
     def begin(self, frame_set: FrameSet[Mask]) -> PendingHull:
         """Choose the cameras, resolve shadows, and carve: all that needs the silhouettes of all cameras."""
         watch = _StageWatch()
-        # a camera has no say where something hides the person from it
+        # pixels behind a camera's occluders count as unseen
         frames = self._faults.occluders.applied(frame_set.frames)
         frame_set = replace(frame_set, frames=frames)
         # leave out cameras that contradict all others
@@ -123,18 +123,18 @@ class HullPipeline:
     def finish(self, pending: PendingHull) -> HullResult:
         """Slice, filter, sample, and trace the contour rays."""
         frame_set, watch = pending.frame_set, _StageWatch()
-        # tell the camera clients where their foreground has no support, so that moved things become background
+        # report foreground without support to the camera clients, where moved things become background
         shown = frame_set.frames | pending.masks
         support = self._support.update(shown, pending.masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("support")
-        # ... and no voxel next to the floor that a camera shows as floor in shadow
+        # remove voxels next to the floor that a camera shows as floor in shadow
         volume = self._shadows.without_shadows(pending.volume, pending.masks)
         watch.lap("floor")
         # connected components of all slices along x, y and z (3.2)
         blobs, runs = slice_hull(volume)
         watch.lap("slice")
         bodies = self._bodies.step(frame_set.stamp_ns, runs, self.grid)
-        # centroids of the blobs that look like a limb or trunk cut across (3.2)
+        # centroids of the blobs that are cross sections of a limb or trunk (3.2)
         centerline = find_centerline(blobs, self.grid, self.settings.blob)
         watch.lap("filter")
         voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1))

@@ -48,8 +48,7 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
     """Extract the surface between occupied and empty voxels, by marching cubes (Lorensen and Cline 1987).
 
     smoothing_voxels : standard deviation of a Gaussian over the occupancy first; 0 leaves the voxels' steps, 1 rounds
-    them off and takes away what is thinner than about two voxels. InputError for an empty or
-    a vanishing hull.
+    them off and removes parts thinner than about two voxels. InputError for an empty or a vanishing hull.
     """
     if not len(volume.index):
         raise InputError(

@@ -1,7 +1,7 @@
-"""The silhouettes of one frame set in one array, of which only the part that has or had foreground is written anew.
+"""The silhouettes of one frame set in one array, of which only the part that has or had foreground is rewritten.
 
-A person takes a twentieth of a picture. So each mask is read once, eight pixels at a time, to find the box of all that
-is not background; whatever follows stays inside that box.
+A person covers a twentieth of a picture. So each mask is read once, eight pixels at a time, to find the box of all that
+is not background; later stages stay inside that box.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class SilhouetteBatch:
         self._absent = np.ones(cameras, bool)
 
     def load(self, camera: int, mask: npt.NDArray[np.uint8] | None, within: Box | None = None) -> bool:
-        """Take the mask (h, w) of a camera's canvas, None of an absent one; return whether it shows uncertain levels.
+        """Load the mask (h, w) of a camera's canvas, None of an absent one; return whether it has uncertain levels.
 
-        within : left, top, right, bottom of a box that holds all it shows, where one is known; the rest is not read.
+        within : left, top, right, bottom of a box of all that is not background, if known; the rest is not read.
         """
         if mask is None or self._absent[camera]:
             self.words[camera], self.box[camera] = self._blind[camera], 0
@@ -58,7 +58,7 @@ class SilhouetteBatch:
 def _load(mask_words, part, blind_words, level_words, box):  # type: ignore[no-untyped-def]
     """Write the levels of the ``part`` (left, top, right, bottom, in words and rows) of a mask, and its box (4,).
 
-    The words are pixels, eight to a word. ``box`` comes with that of the mask before, whose levels are forgotten.
+    The words are pixels, eight to a word. ``box`` holds that of the mask before, whose levels are erased.
     Returns whether any pixel is neither background, nor blind, nor certainly foreground.
     """
     for v in range(box[1], box[3]):
@@ -109,9 +109,9 @@ def _nonzero_bounds(words):  # type: ignore[no-untyped-def]
 class SummedSquares:
     """The summed areas of the last silhouette of each camera, inside its box.
 
-    table (N, (H / 2 + 2) * (W / 2 + 1)) : in squares of 2 x 2 pixels, of which foreground counts 2 a pixel, what is
-    uncertain 1 (:data:`.carving.pixel_boxes.ALL_SURE`); from the box's corner, row after row without gaps, which takes
-    a fraction of the memory pages that a canvas would.
+    table (N, (H / 2 + 2) * (W / 2 + 1)) : in squares of 2 x 2 pixels, 2 for each foreground pixel and 1 for each
+    uncertain one (:data:`.carving.pixel_boxes.ALL_SURE`); from the box's corner, row after row without gaps, which
+    touches a fraction of the memory pages of a canvas.
     """
 
     def __init__(self, seen: npt.NDArray[np.uint8]) -> None:
@@ -148,7 +148,7 @@ def _sum_squares(level_words, box, table, scratch):  # type: ignore[no-untyped-d
 
 @kernel
 def _count_row(level_words, counts):  # type: ignore[no-untyped-def]
-    """Add what each pixel of a part of a row counts."""
+    """Add the counts of the pixels of a part of a row."""
     for word in range(level_words.size):
         pixels = level_words[word]
         counts[word] += high_bytes(pixels) + nonzero_bytes(pixels & NOT_BLIND)

@@ -27,7 +27,7 @@ from .settings import NodeSettings
 POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
 SHORTEST_POLL_NS = 200_000
 # Thresholds: judgement, no measurement.
-GIVE_UP_SETS = 5  # in a row have waited for a camera in vain: none does any more; packet loss takes fewer by chance
+GIVE_UP_SETS = 5  # misses in a row after which sets no longer wait for a camera; packet loss causes fewer
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 NEVER_NS = 1 << 62
@@ -45,7 +45,7 @@ class SilhouetteInput:
         thinning: ThinningControl,
         on_closed: Callable[[FrameSet[Mask]], None],
     ) -> None:
-        """``canvases`` : of each camera; ``on_closed`` takes every frame set, on the executor's thread."""
+        """``canvases`` : of each camera; ``on_closed`` is called with every frame set, on the executor's thread."""
         self._node, self._canvases, self._thinning, self._on_closed = node, canvases, thinning, on_closed
         self._settings: NodeSettings = node.settings
         self.refused: dict[str, str] = {}  # camera: why

@@ -1,8 +1,8 @@
-"""What each camera of the rig sees, and the rule and interface of all carving backends.
+"""Views of the rig's cameras, and the rule and interface of all carving backends.
 
 A camera *sees* a voxel when the voxel's centre lies in front of it and projects to a pixel, floor(x + 0.5), that is
-inside the canvas and inside the original image (``seen``). Each camera's pixel there is evidence: foreground
-counts 1, what the camera does not see, or is uncertain of, counts 0, and background counts minus infinity: it vetoes.
+inside the canvas and inside the original image (``seen``). Each camera's pixel there is evidence: foreground counts 1,
+unseen and uncertain pixels count 0, and background counts minus infinity: it vetoes.
 A voxel is occupied when the sum is at least ``min_seeing``. So with certain masks every camera that sees it must have
 foreground there, and enough must see it (thesis 3.1 assumes that every camera sees the whole volume, which is not so
 in real rigs). In a mask 0 is background, above 127 foreground, 2 to 127 uncertain.
@@ -108,7 +108,7 @@ class RigViews:
 class CarveBackend(Protocol):
     """Carves the silhouettes of one frame set after another, by the rule of this module. One thread at a time.
 
-    name : gl, sweep or cpu. device : what it runs on, for people.
+    name : gl, sweep or cpu. device : description of the hardware it runs on.
     """
 
     name: str
@@ -122,5 +122,5 @@ class CarveBackend(Protocol):
         ...
 
     def close(self) -> None:
-        """Release what the backend holds; it cannot be used afterwards."""
+        """Release the backend's resources; it cannot be used afterwards."""
         ...

@@ -1,4 +1,4 @@
-"""What the tracker hands to the filter: 15 reference points with a covariance each, and how far to believe the fit."""
+"""The tracker's result for the filter: 15 reference points with a covariance each, and the quality of the fit."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ PART_OF_POINT = np.array([next(part for part, own in enumerate(PART_POINTS) if p
 FIRST_PERSON = 1
 """The person whose topics are those of a single one; the others are 2, 3, ..."""
 GONE_AFTER_S = 1.0
-"""Who has not been seen for so long has left: people turn, and pass behind things."""
+"""Seconds without a sight of a person after which the person has left: people turn, and pass behind things."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReferencePoints(Columns):
     """The 15 reference points in the order of `stick_figure.skeleton.POINT_NAMES`; world frame.
 
-    points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured. doubtful :
-    (15,) bool, those of a part of the body that may be elsewhere; moved : (15,) bool, those that were found in another
-    place, so that the way there is no motion. Without them, none.
+    points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, measured points. doubtful : (15,) bool,
+    points of a part of the body that may be elsewhere; moved : (15,) bool, points of a corrected part, whose
+    displacement is not a motion. Both default to none.
     """
 
     points_world: Annotated[np.ndarray, "x y z"]
@@ -50,12 +50,12 @@ NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros
 
 @dataclass(frozen=True)
 class TrackQuality:
-    """How well a fit explains what the cameras saw.
+    """Quality of a fit, by the cameras' contour rays.
 
     state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
     parts (5,) states of PART_NAMES; explained : share of the contour rays that the pose explains;
     hypothesis_margin : rays that the best other pose explains more, over several sets; None without another pose.
-    log_odds (5,) : that each limb is elsewhere than it is tracked, or unseen; -inf where nothing is known.
+    log_odds (5,) : that each limb is elsewhere than it is tracked, or unseen; -inf for unknown.
     """
 
     state: str
@@ -71,7 +71,7 @@ UNKNOWN = TrackQuality(GOOD, "", (GOOD,) * 5, 1.0)
 
 
 class Solution(NamedTuple):
-    """How the solver came to a fit.
+    """The solver's figures of a fit.
 
     points, inliers : data points given, and those within the robust gate. rms_m : root mean square distance of the
     inliers to their sticks. converged : the last step was below the tolerance within the iterations allowed.
@@ -89,13 +89,12 @@ class Fit:
     """The stick figure of one person fitted to one frame set.
 
     state : "acquiring", "tracking", "doubtful" or "lost"; started_from : "nothing", "initial", "own", or the stamp (ns)
-    of the filter's state that the fit started from; reason : why there is no fit, or why it is not quite believed, else
-    empty; dropped_points : centerline points that were not finite.
+    of the filter's state that the fit started from; reason : why there is no fit, or why it is doubtful, else empty;
+    dropped_points : centerline points that were not finite.
     reference_points_world (15, 3) m, covariance (15, 3, 3) m^2, visible (15,): zeros, huge and False before the first
     pose; the unmoved prediction, huge and False when the set has too few points; not visible when lost.
-    solution : the solver's figures, None without a fit. quality : how far it explains what the cameras saw; recovered :
-    what was found anew with this set, else empty; moved (5,) : the parts of the body that were. person : 1, 2, ...,
-    whose fit it is.
+    solution : the solver's figures, None without a fit. quality : by the contour rays; recovered : parts found again in
+    this set, in words, else empty; moved (5,) : the same as flags. person : its number, 1, 2, ...
     """
 
     stamp_ns: int

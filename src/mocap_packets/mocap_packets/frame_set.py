@@ -1,16 +1,15 @@
 """Frame sets: one silhouette a camera, all of one instant (thesis 6.2; tolerance and deadline are ours).
 
-A set is identified by capture stamp: all stamps of a set lie within the tolerance of each other. A set closes the
-moment its last camera has come, or when its deadline has passed since its first arrival. A camera that lacks is not
-waited for once it has delivered a later stamp, for stamps may not go back; nor where it is known to have no frame of
-that instant; nor, where the collector may give up, once several sets in a row have missed it, until it is heard again.
-Sets leave in stamp order; a frame that comes after its set has left is late: counted, never mixed into another set.
+A set is identified by capture stamp: all stamps of a set lie within the tolerance of each other. A set closes when its
+last camera has arrived, or when its deadline has passed since its first arrival. It does not wait for a missing camera
+that has delivered a later stamp, as stamps may not go back; nor for one that is known to have no frame of that instant;
+nor, if the collector may give up, for one that several sets in a row have missed, until its next frame. Sets leave in
+stamp order; a frame that arrives after its set has left is late: counted, never mixed into another set.
 
-The rig's time is the median of its cameras' newest stamps: one camera never moves it, most do. A frame jumps that is
-more than a quarter of a second ahead of the rig, or behind what its own camera sent last, and is held for two frame
-periods. When the median has jumped (footage or a bag started again, a pause, a clock that was set) the held frames
-begin anew there; else they are dropped and counted. A camera that lags, its own stamps going on, does not jump: it is
-late.
+The rig's time is the median of its cameras' newest stamps, so that a single camera never moves it. A frame more than a
+quarter of a second ahead of the rig's time, or behind its own camera's last frame, is a jump and is held for two frame
+periods. When the median has jumped (footage or a bag started again, a pause, a clock that was set) the collector resets
+to the held frames; else they are dropped and counted. A camera that lags with increasing stamps is late, not a jump.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ T = TypeVar("T")
 
 TIME_JUMP_NS = 250_000_000
 JUMP_TOLERANCES = 10  # a jump is at least five frame periods, so that slow cameras do not jump with every frame
-HELD_TOLERANCES = 4  # two frame periods: time for every live camera to be heard here or there
+HELD_TOLERANCES = 4  # two frame periods, in which every live camera sends a frame
 
 
 @dataclass(frozen=True)
 class FrameSet(Generic[T]):
     """The frames of one instant, cameras in name order.
 
-    stamp_ns : the mean of the capture stamps in the set: what is made of all of them together is of that time.
-    missing : expected cameras that delivered nothing in time.
+    stamp_ns : the mean of the capture stamps in the set, the time of results from all of them. missing : expected
+    cameras that delivered nothing in time.
     """
 
     stamp_ns: int
@@ -57,10 +56,10 @@ class FrameSet(Generic[T]):
 
 @dataclass
 class Counters:
-    """What became of every frame and set, since the start.
+    """Counts of frames and sets by their fate, since the start.
 
-    frames = those in sets + late + duplicate + backwards + ahead + those still waiting. ``missing`` counts the gaps
-    in incomplete sets; ``restarts`` how often the stamps of the rig went back.
+    frames = in sets + late + duplicate + backwards + ahead + still waiting. ``missing`` counts the gaps in incomplete
+    sets; ``restarts`` the jumps back of the rig's time.
     """
 
     frames: int = 0
@@ -105,9 +104,9 @@ class FrameSetCollector(Generic[T]):
     tolerance_ns : stamps of one set differ by at most this much (half a frame period).
     deadline_ns : how long after its first frame arrived a set waits for the others; may be changed at any time.
     max_open : at most this many sets are open at once; the oldest is closed beyond that.
-    give_up : a camera that so many sets in a row have missed is not waited for until it is heard; 0: it always is.
-        Which set its first frame then joins depends on when it arrives; a replay that must repeat itself gives the
-        absent frames instead (:meth:`add_absence`).
+    give_up : sets in a row without a camera after which sets no longer wait for it, until its next frame; 0: never.
+        Which set its next frame joins depends on when it arrives; a deterministic replay declares absent frames
+        instead (:meth:`add_absence`).
     """
 
     def __init__(
@@ -117,19 +116,19 @@ class FrameSetCollector(Generic[T]):
         self.tolerance_ns, self.deadline_ns, self.max_open, self.give_up = tolerance_ns, deadline_ns, max_open, give_up
         self.counters = Counters()
         self._jump_ns = max(TIME_JUMP_NS, JUMP_TOLERANCES * tolerance_ns)
-        self._time_ns = 0  # of the rig: it jumps to its first frame
-        self._newest: dict[str, Arrival[T]] = {}  # of each camera, wherever it is
+        self._time_ns = 0  # of the rig; set by its first frame
+        self._newest: dict[str, Arrival[T]] = {}  # of each camera, jumps included
         self._held: list[Arrival[T]] = []  # in no set, or not yet
         self._begin()
 
     def _begin(self) -> None:
-        """Begin anew, also with stamps that have been."""
+        """Reset; stamps may repeat."""
         self._open: list[OpenSet[T]] = []
-        self._last_ns: dict[str, int] = {}  # the last stamp of each camera that was where the rig is
+        self._last_ns: dict[str, int] = {}  # the last stamp of each camera that was not a jump
         self._last_closed_ns: int | None = None
         self._last_set_ns = -1
-        self._absent_ns: dict[str, int] = {}  # the latest instant of which each camera is known to have no frame
-        self._missed_count = dict.fromkeys(self.names, 0)  # sets in a row that waited for each camera and lack it
+        self._absent_ns: dict[str, int] = {}  # the latest instant at which each camera is known to have no frame
+        self._missed_count = dict.fromkeys(self.names, 0)  # sets in a row that waited for each camera in vain
 
     # --- frames in, sets out
 
@@ -148,7 +147,7 @@ class FrameSetCollector(Generic[T]):
         return self.poll(now_ns)
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
-        """Close the sets that wait for nobody or are past their deadline; none overtakes an older one."""
+        """Close the sets that wait for no camera or are past their deadline; none overtakes an older one."""
         closed = self._update_time(now_ns) if self._held else []
         due = 0
         for index, candidate in enumerate(self._open):
@@ -167,7 +166,7 @@ class FrameSetCollector(Generic[T]):
         closed = self._update_time(self._held[0].arrival_ns + self._held_for_ns) if self._held else []
         return closed + self._close(len(self._open))
 
-    # --- where the rig is
+    # --- the rig's time
 
     def _check(self, camera: str) -> None:
         if camera not in self.names:
@@ -178,15 +177,16 @@ class FrameSetCollector(Generic[T]):
         return self.deadline_ns + HELD_TOLERANCES * self.tolerance_ns
 
     def _jumps(self, arrived: Arrival[T]) -> bool:
-        """Return whether a frame is far ahead of the rig, or far behind its own camera's last (the oldest open set)."""
+        """Return whether a frame is far ahead of the rig's time, or far behind its camera's last (or the oldest open
+        set)."""
         tail_ns = min([self._time_ns, *(each.stamp_ns for each in self._open[:1])])
         behind_ns = self._last_ns.get(arrived.camera, tail_ns) - arrived.stamp_ns
         return max(behind_ns, arrived.stamp_ns - self._time_ns) > self._jump_ns
 
     def _update_time(self, now_ns: int) -> list[FrameSet[T]]:
-        """Take the held frames that are where the rig is; drop the others once there was time for every camera's.
+        """Update the rig's time from the held frames, add those that do not jump, and drop the others after the hold.
 
-        The rig jumps when all its cameras have, or at the end of that time when most have that were heard within it.
+        The rig's time jumps when all cameras' frames do, or at the end of the hold when those of most active ones do.
         """
         due_ns, was_ns = self._held[0].arrival_ns + self._held_for_ns, self._time_ns
         over = now_ns >= due_ns or len(self._held) > self.max_open * len(self.names)
@@ -218,7 +218,7 @@ class FrameSetCollector(Generic[T]):
         return closed
 
     def _add_here(self, new: Arrival[T]) -> None:
-        """Put a frame into the open set nearest in time, or into one of its own; count one that cannot be taken."""
+        """Add a frame to the open set nearest in time, or to a new one; count a frame that no set can hold."""
         last_ns, self._missed_count[new.camera] = self._last_ns.get(new.camera), 0
         if last_ns is not None and new.stamp_ns <= last_ns:
             self.counters.duplicate += new.stamp_ns == last_ns
@@ -260,6 +260,6 @@ class FrameSetCollector(Generic[T]):
         self.counters.incomplete += bool(missing)
         stamps_ns = {name: closed.stamps_ns[name] for name in there}
         made = FrameSet.of_stamps(stamps_ns, {name: closed.frames[name] for name in there}, missing)
-        # stamps rise, also where a camera's next frame came so soon that two sets overlap in time
+        # stamps rise even if a camera's next frame comes so soon that two sets overlap in time
         self._last_set_ns = max(made.stamp_ns, self._last_set_ns + 1)
         return replace(made, stamp_ns=self._last_set_ns)

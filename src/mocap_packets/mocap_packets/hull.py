@@ -1,8 +1,8 @@
-"""What the hull server hands to the tracker: centerline, voxel samples and contour rays of one frame set.
+"""Products of the hull server for the tracker: centerline, voxel samples and contour rays of one frame set.
 
-Each type knows its table (``LAYOUT``), which is also published as a point cloud, for whoever listens. Rows carry
-the number of the body that they belong to: the hull server numbers bodies that do not touch; people who touch share a
-number until they part; -1 is nobody. World frame (map), metres.
+Each type has a table (``LAYOUT``), which is also published as a point cloud for other subscribers. Rows carry the
+number of their body: the hull server numbers bodies that do not touch; people who touch share a number until they part;
+-1 is no body. World frame (map), metres.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .table import NO_AGES, ZEROS, Columns, Flags, Numbers, SetAges
 
 @dataclass(frozen=True, eq=False)
 class Centerline(Columns):
-    """Centerline points (n) of one hull: centroids of the slices that look like a limb cut across (thesis 3.2).
+    """Centerline points (n) of one hull: centroids of slices that are cross sections of a limb (thesis 3.2).
 
     points_world : (n, 3). sigma : (n,) standard deviation of the point from the limb's axis, in each direction across
     it. axis : (n,) 0 = x, 1 = y, 2 = z, the axis that the slice was perpendicular to. area_m2, elongation, fill : (n,)
@@ -106,9 +106,9 @@ NO_CONTOUR_RAYS = ContourRays(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3
 
 @dataclass(frozen=True, eq=False)
 class HullProducts:
-    """What the hull server hands on of one frame set: everything in the volume, of all bodies; how old the set is.
+    """Hull products of one frame set, of all bodies in the volume, and the ages of the set.
 
-    keypoints : what detectors found in the set's images, where there are any. They come to the tracker on their own.
+    keypoints : detections in the set's images, if any; they reach the tracker separately.
     """
 
     LAYOUTS: ClassVar[dict[str, np.dtype]] = {
@@ -146,14 +146,14 @@ class HullProducts:
         return cls(stamp_ns, line, voxels, rays, SetAges.from_table(tables["ages"]))
 
     def finite(self) -> tuple[HullProducts, int]:
-        """Return the same with the centerline points that are finite numbers, and how many were not."""
+        """Return the same without centerline points that are not finite, and the number of these."""
         line = self.centerline
         good = np.isfinite(line.points_world).all(axis=1) & np.isfinite(line.sigma)
         return (self, 0) if good.all() else (replace(self, centerline=line.chosen(good)), int((~good).sum()))
 
     def numbers(self) -> list[int]:
-        """Return the numbers of the bodies that rows belong to, in order; nobody's rows are no body's."""
-        counts = [np.bincount(getattr(self, name).body + 1) for name in PARTS]  # nobody's rows have number -1
+        """Return the numbers of the bodies that have rows, in order."""
+        counts = [np.bincount(getattr(self, name).body + 1) for name in PARTS]  # rows of no body have number -1
         return sorted({int(row) - 1 for count in counts for row in np.flatnonzero(count)} - {-1})
 
     def of_body(self, number: int) -> HullProducts:
@@ -176,5 +176,5 @@ class HullProducts:
 
 
 def _spread(available: int, count: int) -> np.ndarray:
-    """Return at most ``count`` of so many rows, evenly spread."""
+    """Return at most ``count`` of the rows, evenly spread."""
     return np.arange(count) * available // count if available > count else np.arange(available)

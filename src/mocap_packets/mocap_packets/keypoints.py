@@ -36,15 +36,15 @@ class Detections:
 
     @property
     def landmarks(self) -> np.ndarray:
-        """(k,) the place of each joint in the figure, -1 of those that it has not."""
+        """(k,) the landmark of each joint, -1 of joints that the figure does not have."""
         places = COCO_PLACES if set(OF_COCO) & set(self.names) else {}
         found = [places.get(name, name) for name in self.names]
         return np.array([LANDMARK_NAMES.index(name) if name in LANDMARK_NAMES else -1 for name in found], int)
 
 
 def keypoints_of(rig: Rig, images: Iterable[Detections]) -> Keypoints:
-    """Return what was found in the images of one instant. Joints without a finite place, a positive definite covariance
-    and a positive score are left out."""
+    """Return the detections in the images of one instant. Joints without a finite place, a positive definite covariance
+    and a positive score are dropped."""
     parts, skeletons = list[Keypoints](), 0
     for image in images:
         camera, values = rig.camera(image.camera), np.asarray(image.values, float)

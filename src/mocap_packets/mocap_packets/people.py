@@ -129,7 +129,7 @@ class AnsweredSet:
 
 
 def format_bodies(bodies: Mapping[int, Body], source: str = "") -> str:
-    """Return the bodies of several persons as YAML: the number of each person, and under it what a body file holds."""
+    """Return the bodies of several persons as YAML: under each person's number the keys of a body file."""
     texts = {person: format_body(body, source) for person, body in sorted(bodies.items())}
     return format_mapping({person: parse_mapping(text, "body", "") for person, text in texts.items()})
 

@@ -1,4 +1,4 @@
-"""What camera client and hull server hand each other: the silhouette of one image, and what the others see of it."""
+"""Packets between camera client and hull server: the silhouette of one image, and its support by other cameras."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Mask = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """What a camera sees of the person. Only ``mask`` travels on, as a PNG of few levels.
+    """The silhouette of one image. Only ``mask`` is sent, as a PNG of few levels.
 
     mask : (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, 47 uncertain, up to 127 most likely a
         shadow, between them person or shadow (see `capture_rig.mask_levels`).
     image_mask : (H, W) the same levels in the camera's own pixels.
     foreground_fraction, candidate_fraction : the shares of the image that are the person, and shadow candidates.
-    flags : may hold "empty" or "full": such a mask is what was seen, and probably not a person.
+    flags : may hold "empty" or "full": such a mask is as observed, and probably not a person.
     """
 
     mask: Mask
@@ -31,26 +31,26 @@ class Silhouette:
 
     @property
     def person(self) -> Mask:
-        """The binary mask, 0 or 255: candidates are taken for shadow."""
+        """The binary mask, 0 or 255; candidates count as shadow."""
         return np.where(self.mask > SHADOW_CANDIDATE, np.uint8(FOREGROUND), np.uint8(BACKGROUND))
 
 
 Cells = npt.NDArray[np.uint8]
 
 UNJUDGED, BODY, OUTSIDE, NOBODY = 0, 85, 170, 255
-"""Levels of a cell: too few others look there; they see a body there, or next to it; no body in the capture volume, but
-maybe something outside it; nobody."""
+"""Levels of a cell of the multi-view consistency mask: too few other cameras see the place; they show a body there or
+next to it; they show none in the capture volume, but perhaps something outside it; they show none."""
 LEVELS = (UNJUDGED, BODY, OUTSIDE, NOBODY)
 SUPPORT_PERIOD_S = 0.25
-"""From one `ForegroundSupport` to the next: it serves to judge things, which takes seconds."""
+"""Period of `ForegroundSupport`: it serves to judge moved things, which takes seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForegroundSupport:
-    """What the other cameras say of one camera's view, at the capture stamp of a frame set.
+    """Support of one camera's foreground by the other cameras, at the capture stamp of a frame set.
 
     cells (h, w) uint8 : :data:`LEVELS` of squares of ``cell_px`` pixels of the undistorted canvas, from its first pixel
-    on. They follow from the other cameras' silhouettes alone, whatever this camera shows.
+    on. They are computed from the other cameras' silhouettes alone.
     """
 
     stamp_ns: int

@@ -1,4 +1,4 @@
-"""What the filter says after each frame set: the body's state, and the prediction from which the next fit starts."""
+"""The filter's results of each frame set: the body's state, and the prediction from which the next fit starts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Tracking(StrEnum):
     DOUBTFUL = "doubtful"
     """a pose, but the last set did not confirm it"""
     LOST = "lost"
-    """no measurement for so long that the pose is only extrapolated"""
+    """too long without a measurement: the pose is only extrapolated"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +61,14 @@ class BodyState:
     predicted_velocity : (24,) rate with which the motion model moves the pose until the next set, zero for the identity
         model
     covariance : (48, 48) of the errors of pose and velocity
-    bend : (7,) how the trunk is bent, of `Body.bent`: the body at rest so bent, in this pose, has the points
+    bend : (7,) the trunk's bend: `Body.bent` of the body at rest, in this pose, has the points
     angles, rates : (18,) rad and rad/s in the order of `stick_figure.skeleton.ANGLE_NAMES`, continuous with the
         previous set's; the rates are damped near gimbal lock
     points_world, point_covariance : (15, 3) m and (15, 3, 3) m^2, the filtered reference points
     accepted : (15,) bool, measured points, which were used
     distances : (15,) squared Mahalanobis distance of each measured point from its prediction, 0 where not visible
     doubtful : (15,) bool, points of a part of the body that may be elsewhere
-    tracking, reason : how far to trust the whole, and why
+    tracking, reason : quality of the whole, and why
     """
 
     stamp_ns: int

@@ -61,7 +61,7 @@ class Columns:
     def chosen(self, rows: np.ndarray) -> Self:
         """Return some rows, by number or mask, contiguous."""
         if rows.dtype == np.bool_:
-            rows = np.flatnonzero(rows)  # to take rows by number is several times faster than by mask
+            rows = np.flatnonzero(rows)  # rows by number are several times faster than by mask
         return type(self)(*(getattr(self, name).take(rows, axis=0) for name in self._names))
 
     def to_table(self) -> np.ndarray:
@@ -87,8 +87,8 @@ AGE_POINTS = ("received", "hull", "fitted", "published")
 
 @dataclass(frozen=True)
 class SetAges:
-    """Nanoseconds from the exposure until the set was closed, its hull left the hull server, the filter had its fit,
-    and its joint state was published; 0 where it has not come so far."""
+    """Nanoseconds from the exposure until the set was closed, its hull left the hull server, the filter received its
+    fit, and its joint state was published; 0 for later stages."""
 
     LAYOUT: ClassVar[np.dtype] = layout(*AGE_POINTS)
 

@@ -4,7 +4,7 @@ The nodes of the graph hold the same objects and call them in the same order, an
 exactly, so this page and the graph give the same results, bit for bit.
 
     images -> segment -> silhouettes -> resolve shadows -> carve -> slice -> fit -> filter -> predict -> next fit
-                 ^---- where the others see a body <---|
+                 ^---- support by other cameras <------|
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Step:
 
     @property
     def answer(self) -> BodyState | NoState:
-        """What the filter says of the first person."""
+        """The filter's state of the first person."""
         return self.people[0].answer
 
     @property
@@ -91,8 +91,8 @@ class MocapPipeline:
         self.body = TrackingStage.of(configuration, rig)
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray], detections: Iterable[Detections] = ()) -> Step:
-        """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8; ``detections`` : what a
-        detector of 2D poses, if there is one, found in them."""
+        """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8; ``detections`` : of a detector
+        of 2D poses in them, if there is one."""
         return self.step_masks(stamp_ns, self.segment(stamp_ns, images), detections=detections)
 
     def segment(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Masks:
@@ -108,25 +108,25 @@ class MocapPipeline:
         return self.body.step(replace(products, keypoints=keypoints_of(self.rig, detections)))
 
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
-        """Carve one instant: the visual hull and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""
+        """Carve one instant: the visual hull and its products (hull_server/hull_pipeline.py)."""
         frame_set = FrameSet.of_instant(stamp_ns, dict(masks), missing)
         return self.carve_set(frame_set)
 
     def carve_set(self, frame_set: FrameSet[np.ndarray]) -> HullProducts:
-        """Do the same with the silhouettes of cameras that are not in step, each of its own stamp."""
-        # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
-        # see as foreground (3.1; consistency/, floor_shadows.py, carving/ or opengl/)
+        """Carve a frame set of cameras that are not in step, each with its own stamp."""
+        # leave out cameras that contradict the others, resolve shadows, carve the voxels that all cameras see as
+        # foreground (3.1; consistency/, floor_shadows.py, carving/ or opengl/)
         pending = self.hull.begin(frame_set)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_runs.py, contour_rays/)
         result = self.hull.finish(pending)
-        # tell each camera where the others see a body: things that moved are seen by none, and become background
-        # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
+        # report foreground without support by other cameras: moved things, which become background
+        # (consistency/foreground_support.py; camera_client/background/moved_things.py)
         self.report_support(result.support)
         return result.products
 
     def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:
-        """Tell the cameras that are segmented here what the others see of their foreground."""
+        """Pass each camera that is segmented here the support of its foreground by the others."""
         for report in reports:
             if report.camera in self.cameras:
                 self.cameras[report.camera].take_support(report)
@@ -143,7 +143,7 @@ class TrackingStage:
 
     @classmethod
     def of(cls, configuration: Configuration, rig: Rig | None = None) -> TrackingStage:
-        """Build tracker and filters as the settings say; ``rig`` : whose hulls it gets."""
+        """Build tracker and filters by the settings; ``rig`` : of the hulls."""
         tracker = make_people_tracker(configuration.icp, rig, configuration.hull.min_seeing)
         return cls(tracker, PeopleFilter(configuration.ekf), configuration.feedback)
 

@@ -1,8 +1,8 @@
-"""The server in one process: hull, ICP and EKF nodes on one executor, which hand their packets over in memory.
+"""The server in one process: hull, ICP and EKF nodes on one executor, which pass their packets in memory.
 
-The nodes keep their names, parameters, services and topics; what they send each other is on the wire only when
-somebody else listens. The filter answers on the tracker's thread, so that a set changes threads three times: from the
-executor to the carver, the slicer and the tracker.
+The nodes keep their names, parameters, services and topics; packets are on the wire only for other subscribers. The
+filter runs on the tracker's thread, so that a set changes threads three times: from the executor to the carver, the
+slicer and the tracker.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A session folder for the pipeline: images with their stamps, silhouettes, and a pipeline with the backgrounds; and
-what a detector of 2D poses found in the images."""
+"""A session folder for the pipeline: images with their stamps, silhouettes, a pipeline with the backgrounds, and
+detections of 2D poses."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FootageEnded = Callable[[dict[str, VideoFacts]], None]
 
 
 def ignore_end(facts: dict[str, VideoFacts]) -> None:
-    """Do nothing about what came of the videos."""
+    """Ignore the videos' facts."""
 
 
 def pipeline_of(session: Session, configuration: Configuration | None = None) -> MocapPipeline:
@@ -50,7 +50,7 @@ def pipeline_of(session: Session, configuration: Configuration | None = None) ->
 def frame_sets(session: Session, ended: FootageEnded = ignore_end) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """Stamp, ns, and images (H, W[, 3]) uint8 by camera, frame after frame until the shortest video ends.
 
-    ended : is told what came of the videos.
+    ended : is called with the videos' facts.
     """
     for frame, images in enumerate(images_of(session.videos, ended)):
         stamps_ns = session.stamps_ns(EPOCH_NS, frame)
@@ -60,7 +60,7 @@ def frame_sets(session: Session, ended: FootageEnded = ignore_end) -> Iterator[t
 def segmented(session: Session, pipeline: MocapPipeline, ended: FootageEnded = ignore_end) -> Iterator[Masks]:
     """Canvas masks of every camera, as the pipeline segments them.
 
-    Its cameras hear what its hull server reports if each frame is carved before the next one is asked for.
+    Its cameras get its hull server's support reports if each frame is carved before the next one is requested.
     """
     for stamp_ns, images in frame_sets(session, ended):
         yield pipeline.segment(stamp_ns, images)

@@ -1,4 +1,4 @@
-"""What the bridges have in common: a node that hears one person's pose and points, set by set."""
+"""Base of the bridges: a node that receives one person's pose and points, set by set."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class PersonNode(SagomaNode, ABC):
         self._active = False
 
     def cleanup(self) -> None:
-        """Release what is open."""
+        """Release all resources."""
         for close in self._closing:
             close()
         self._closing.clear()

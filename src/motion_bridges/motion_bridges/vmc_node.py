@@ -51,7 +51,7 @@ VMC_PORT = 39539
 def vmc_bones(instant: Instant) -> dict[str, TRANSFORM]:
     """Return place (m) and quaternion (x y z w) of every bone in the bone that carries it, in Unity's axes.
 
-    "root" stands on the floor below the hips and does not turn: receivers that take no places but the root's walk too.
+    "root" stands on the floor below the hips and does not turn, for receivers that use the root's place alone.
     """
     places, R = local_transforms(instant.points_world[None], instant.R_world_sticks[None])
     places, quaternions = places[0] @ UNITY_AXES, Rotation.from_matrix(rotated(R[0], UNITY_AXES)).as_quat()

@@ -1,9 +1,9 @@
 """Joint angles by the recommendations of the International Society of Biomechanics (Wu et al. 2002 and 2005), degrees.
 
 Segment frames: x forward, y up along the segment, z to the right. Left limbs are mirrored at the sagittal plane first,
-so that the same movement of both sides has the same sign (Wu et al. 2005, 2.3.5). What a stick figure cannot show is
-left out: the pelvis apart from the thorax, the clavicle, the forearm's pronation, the ankle.
-docs/reference/points.md says what each angle means.
+so that the same movement of both sides has the same sign (Wu et al. 2005, 2.3.5). Angles that a stick figure does not
+have are left out: the pelvis apart from the thorax, the clavicle, the forearm's pronation, the ankle. docs/reference/points.md
+defines each angle.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def _relative(R_proximal: Array, R_distal: Array, side: str = "right") -> Array:
 
 
 def _degrees(R: dict[str, Array], sequence: str) -> dict[str, Array]:
-    """(3, F) body-fixed angles of each of several rotations (F, 3, 3); where two axes fall together all of their turn
-    is given to the first."""
+    """Return body-fixed angles (3, F) of rotations (F, 3, 3); where two axes coincide the first gets all of their
+    turn."""
     stacked = np.concatenate(list(R.values()))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)

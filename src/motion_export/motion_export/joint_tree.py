@@ -21,8 +21,8 @@ RIGID_M = 1e-3
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint by the name that animation programs look for; its parent, the reference point where it is, the stick
-    that it turns with.
+    """A joint by the name that animation programs expect; its parent, its reference point, the stick that it turns
+    with.
 
     point : None for the root, which lies in the middle between the hips.
     """
@@ -82,8 +82,8 @@ class JointTree:
 
     translations : (F, J, 3) of each joint in its parent; the root's in the world. rotations : (F, J, 3, 3) local. Gaps
     are filled: joints turn the short way, places move along straight lines.
-    offsets : (J, 3) medians of the translations over the take, 0 for the root. rigid : whether the offsets say as much
-    as the translations, because all bones keep their lengths.
+    offsets : (J, 3) medians of the translations over the take, 0 for the root. rigid : whether the offsets replace the
+    translations, as all bones keep their lengths.
     """
 
     translations: Array

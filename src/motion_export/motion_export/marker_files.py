@@ -65,7 +65,7 @@ def write_c3d(motion: Motion, path: Path) -> None:
     write_bytes(path, stream.getvalue())
 
 
-# --- Tables (CSV): all that a take knows of one person, a row a frame, units in the columns' names.
+# --- Tables (CSV): all data of one person in a take, a row a frame, units in the columns' names.
 
 DIGITS = 9
 """Significant ones: micrometres in a room."""
@@ -75,7 +75,7 @@ UPPER = tuple(zip(*np.triu_indices(3), strict=True))
 def write_csv(motion: Motion, path: Path) -> None:
     """Write points (m) and covariances (m^2, six numbers each), torso, joint angles (rad), angles of the ISB (deg).
 
-    World frame: x, y horizontal, z up. Cells of a gap are empty; ``state`` says how far to trust a row.
+    World frame: x, y horizontal, z up. Cells of a gap are empty; ``state`` is the quality of a row.
     """
     header = ["time_s", "stamp_ns", "state"]
     columns = []

@@ -17,7 +17,7 @@ from stick_figure.skeleton import T_POSE_ANGLES
 
 Array = np.ndarray
 R_ANIMATION_WORLD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""From the axes of REP-103 to those of animation (BVH, glTF): y up, the rest pose looks along +z, its left is +x."""
+"""From the axes of REP-103 to those of animation (BVH, glTF): y up, the rest pose faces +z, its left is +x."""
 R_BIOMECHANICS_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """To those of biomechanics (OpenSim; Wu & Cavanagh, J. Biomech. 28, 1995): x forward, y up, z right."""
 UNTRACKED = ""
@@ -25,7 +25,7 @@ UNTRACKED = ""
 SHORTEST_FRAMES = 2
 CAMERA_RATES_HZ = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 75.0, 90.0, 100.0, 120.0, 144.0, 200.0, 240.0)
 NEAR_A_CAMERA_RATE = 0.005
-"""Relative: stamps jitter by more than cameras' clocks drift, so that a rate so near to a usual one is that one."""
+"""Relative tolerance within which a rate counts as a usual one: stamps jitter by more than cameras' clocks drift."""
 
 
 @dataclass(frozen=True, eq=False)

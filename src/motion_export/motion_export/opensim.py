@@ -2,7 +2,7 @@
 
 The model is our stick figure: its coordinates are the torso's six and the eighteen joint angles, its markers the
 15 reference points, so that inverse dynamics, plots and the TRC of the same take go with it (Delp et al., IEEE TBME 54,
-2007). Bone lengths are the medians of the take. The mass for want of a scale is that of an average build unless given.
+2007). Bone lengths are the medians of the take. The mass, if not given, is that of an average build.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """A node: the module that runs it (of the package and, by the node's name, the executable that ``ros2 run`` takes),
-    its name, and its parameters.
+    """A node: the module that runs it (it determines the package and, with the node's name, the executable of ``ros2
+    run``), its name, and its parameters.
 
     namespace : "/" of the server, "/NAME" of a camera, below the graph's own where it has one.
     parameters : dotted keys; values are bool, int, float, str or lists of one of them.
@@ -64,11 +64,11 @@ class NodeSpec:
 CAMERA_NODE = "camera_client"
 SERVER_NODES = ("hull_server", "icp_tracker", "ekf_tracker")
 FOOTAGE_DEADLINE_S = 0.5  # all cameras' frames will come; on a machine that decodes them all, some come late
-# Nothing is dropped, and nobody goes on without what another node is about to send: for footage played as fast as the
-# graph keeps up, for cameras in slow motion, and for lockstep replay. Results then depend on the input alone.
+# Nothing is dropped, and nodes wait for each other's messages: for footage played as fast as the graph keeps up, for
+# cameras in slow motion, and for lockstep replay. Results then depend on the input alone.
 LOSSLESS_SETTINGS: Mapping[str, Any] = {
     "hull_server.reliable": True,
-    "hull_server.deadline_s": 3.0,  # only a camera that lost a frame is waited for so long
+    "hull_server.deadline_s": 3.0,  # reached only by sets of a camera that lost a frame
     "hull_server.queue_depth": 1000,
     "icp_tracker.prediction_wait_s": 20.0,
     "icp_tracker.queue_depth": 1000,
@@ -110,7 +110,7 @@ def build_graph(
         graph = server_graph(rig, body=body)
         if cameras is not None:
             clients = rig_cameras(rig, cameras)
-            # stamps of slow motion fall behind time, which would look like a queue; and nothing need be dropped
+            # stamps of slow motion fall behind time, as if there were a queue; and nothing need be dropped
             in_real_time = all(client.parameters.get("aravis.clock_speed", 1) == 1 for client in clients)
             graph = apply_settings(graph, {} if in_real_time else LOSSLESS_SETTINGS) + clients
     elif cameras is not None:
@@ -147,7 +147,7 @@ def session_graph(
     graph = server_graph(rig_file, body=body) + cameras
     waits: dict[str, Any] = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
     if rate != 1.0:
-        waits["hull_server.thin_out"] = False  # stamps that run slower or faster than time look like a queue
+        waits["hull_server.thin_out"] = False  # stamps slower or faster than time would pass for a queue
     if rate == 0:
         waits = dict(LOSSLESS_SETTINGS)
     return apply_settings(graph, {"hull_server.tolerance_s": 0.5 / session.fps, **waits})
@@ -268,12 +268,12 @@ class ProcessSpec:
 
     @property
     def package(self) -> str:
-        """The package that ``ros2 run`` takes."""
+        """The package, for ``ros2 run``."""
         return self.module.partition(".")[0]
 
     @property
     def executable(self) -> str:
-        """The executable that ``ros2 run`` takes."""
+        """The executable, for ``ros2 run``."""
         return self.nodes[0].name if len(self.nodes) == 1 else self.label
 
     @property

@@ -1,6 +1,6 @@
 """The arguments of the launch files, and the graph that their values describe. It does not import ROS.
 
-One table says what each file takes; the files, `ros2 launch --show-args` and the tests read it.
+One table lists each file's arguments; the files, `ros2 launch --show-args` and the tests read it.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .graph import ALL_CAMERAS, ONE_PROCESS, SERVER_LAYOUTS, NodeSpec, apply_set
 
 AUTO_START, T_POSE_START, REFERENCE_START = "auto", "t_pose", "session"
 STARTS = (AUTO_START, T_POSE_START, REFERENCE_START)
-# nobody drives the cameras of launched footage: they wait for each other
+# the cameras of launched footage wait for each other
 PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True}
 RESTART_DELAY_S = 2.0  # long enough to read why a node died, short enough not to miss the next person
 
 
 @dataclass(frozen=True)
 class Argument:
-    """One argument of a launch file; without a default it has to be given."""
+    """One argument of a launch file; required without a default."""
 
     name: str
     description: str
@@ -130,8 +130,8 @@ def camera_graph(values: Mapping[str, str]) -> list[NodeSpec]:
 def start_settings(session: Session | None, start: str = AUTO_START) -> dict[str, Any]:
     """Return the ICP tracker's settings for the source of its first pose.
 
-    start : "t_pose", "session" (its reference), or "auto": the reference where the session has one that was made from
-    its footage (``reference*.csv``), else a T-pose or whoever walks in, as for live cameras.
+    start : "t_pose", "session" (its reference), or "auto": the reference if the session has one made from its footage
+    (``reference*.csv``), else a T-pose or a person who walks in, as for live cameras.
 
     Raises InputError without a reference to start from.
     """
@@ -151,7 +151,7 @@ def start_settings(session: Session | None, start: str = AUTO_START) -> dict[str
 
 
 def is_true(values: Mapping[str, str], name: str) -> bool:
-    """Return the value of an argument that is true or false; false where the file has none of it."""
+    """Return the value of a boolean argument; false if the file does not have it."""
     text = values.get(name, "false").lower()
     if text not in ("true", "false"):
         raise InputError(f"is '{text}'", where=f"argument {name}", remedy="Give true or false.")

@@ -1,4 +1,4 @@
-"""What a node says of itself on /diagnostics, once a second."""
+"""A node's diagnostics on /diagnostics, once a second."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class NodeHealth:
             self._values[key] = _text(value)
 
     def describe(self, source: Callable[[], Mapping[str, object]]) -> None:
-        """Ask ``source`` for further values at every report: for what would cost too much at every result."""
+        """Call ``source`` for further values at every report, which would cost too much at every result."""
         self._source = source
 
     def tick(self, stamp_ns: int | None = None) -> None:
@@ -74,7 +74,7 @@ class NodeHealth:
                 self._latencies_ns.append(age_ns)
 
     def _now_ns(self) -> int:
-        """Return the node's time; that of the system without rclpy's objects, as it is asked for every result."""
+        """Return the node's time; system time is read without rclpy's objects, as every result needs it."""
         clock = self._node.get_clock()
         of_system = isinstance(clock, ROSClock) and not clock.ros_time_is_active
         return time.time_ns() if of_system else clock.now().nanoseconds

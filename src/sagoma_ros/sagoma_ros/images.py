@@ -43,7 +43,7 @@ _BAYER = {  # OpenCV names the second row's pattern
 ENCODINGS |= {f"bayer_{name}{8 * n}": (1, f"u{n}", code) for n in (1, 2) for name, code in _BAYER.items()}
 
 
-ABSENT = "none"  # the format of a message that says that there is no silhouette of this instant
+ABSENT = "none"  # the format of a message that declares that there is no silhouette of this instant
 
 
 def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
@@ -57,7 +57,7 @@ def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> Compre
 
 
 def absence_message(stamp_ns: int) -> CompressedImage:
-    """Make the message by which a replay says that there is no silhouette of this instant."""
+    """Make the message by which a replay declares that there is no silhouette of this instant."""
     return CompressedImage(header=Header(stamp=to_stamp(stamp_ns)), format=ABSENT)
 
 
@@ -88,7 +88,7 @@ def decode_silhouette(
     if (header.depth, header.colour_type) not in MONO_PNG:
         what = f"the PNG is not mono8: its bit depth and colour type are {[header.depth, header.colour_type]}"
         raise InputError(what, where=where, remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")
-    if (header.width, header.height) != (width, height):  # before any memory is taken for it
+    if (header.width, header.height) != (width, height):  # before any memory is allocated
         what = f"the silhouette is {header.width} x {header.height} pixels, the undistorted canvas {width} x {height}"
         raise InputError(what, where=where, remedy="Give camera client and hull server the same rig file.")
     mask = mask_png.decode(data, candidates)

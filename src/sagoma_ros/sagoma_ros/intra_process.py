@@ -1,8 +1,8 @@
-"""Packets from node to node: handed over in memory within a process, as messages to everybody else.
+"""Packets from node to node: passed in memory within a process, as messages to other processes.
 
 A topic whose publisher lives in this process is not subscribed to over the wire: its packets come on the publisher's
 own thread, in order. Messages hold every number of a packet exactly, so that the results are the same bytes either way.
-A message is made only when somebody outside listens.
+A message is made only for subscribers in other processes.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Delivery(Generic[P]):
 
     @cached_property
     def packet(self) -> P:
-        """The packet; a message is read on the thread that asks first. Raises InputError for a damaged one."""
+        """The packet; a message is decoded at the first access. Raises InputError for a damaged one."""
         return self._read()
 
 
@@ -131,7 +131,7 @@ class PacketPublisher(Generic[P]):
         self._outside.publish(self._to_message, packet, frame_id)
 
     def close(self) -> None:
-        """Take the topic back; who follows it here listens to the wire from now on."""
+        """Close the topic; subscribers in this process subscribe over the wire from now on."""
         self._outside.close()
         with _CHANGING:
             self._channel.joined(-1)
@@ -140,8 +140,8 @@ class PacketPublisher(Generic[P]):
 class PacketSubscription(Generic[P]):
     """The receiving end of a topic of packets.
 
-    ``callback`` is called with every delivery: by the executor with what comes over the wire, on the publisher's thread
-    with what comes from this process.
+    ``callback`` is called with every delivery: by the executor over the wire, on the publisher's thread within the
+    process.
     """
 
     def __init__(self, node: Node, topic: PacketTopic[P], callback: Callable[[Delivery[P]], None]) -> None:

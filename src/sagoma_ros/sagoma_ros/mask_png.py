@@ -20,7 +20,7 @@ from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LE
 from .run_deflate import OPTIONS, deflate, inflate, match_lengths, most_bytes, run_code
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-MOST_PIXELS = 1 << 26  # no camera has more; what claims more is damaged, or wants all our memory
+MOST_PIXELS = 1 << 26  # no camera has more; an image that claims more is damaged or malicious
 DEPTHS = (1, 2, 4)  # bits a pixel
 _HEADER = struct.Struct(">IIBBBBB")  # width, height, bit depth, colour type, compression, filter, interlace
 _GREY_AS_WE_WRITE_IT = (0, 0, 0, 0)
@@ -80,7 +80,7 @@ def levels_of_greys(depth: int, candidates: int) -> npt.NDArray[np.uint8]:
 
 
 class Header(NamedTuple):
-    """What a PNG says of itself."""
+    """The header of a PNG."""
 
     width: int
     height: int
@@ -89,7 +89,7 @@ class Header(NamedTuple):
 
 
 def read_header(data: bytes) -> Header | None:
-    """Return what the header says, undamaged; None when it does not."""
+    """Return the header; None when it is damaged."""
     start = len(SIGNATURE)
     body = data[start + 8 : start + 8 + _HEADER.size]
     if data[: start + 8] != SIGNATURE + struct.pack(">I4s", _HEADER.size, b"IHDR") or len(body) < _HEADER.size:
@@ -192,7 +192,7 @@ def _pack(pairs, first, end, packed_pairs, depth, packed):  # type: ignore[no-un
 
 @njit(**OPTIONS)
 def paint_runs(value, count, cells_of_byte, cells):  # type: ignore[no-untyped-def]
-    """Write the pixels that runs of packed bytes stand for; False unless they are exactly the rows, without filters.
+    """Write the pixels of runs of packed bytes; return False unless they are exactly the rows, without filters.
 
     cells_of_byte (256,) : the pixels of each byte, as one number. cells (h, row_bytes) of the same type : written.
     """
@@ -222,7 +222,7 @@ def paint_runs(value, count, cells_of_byte, cells):  # type: ignore[no-untyped-d
 
 @cache
 def _depth_of_level() -> npt.NDArray[np.int64]:
-    """Return how many bits a pixel (256,) each level needs."""
+    """Return the bits a pixel (256,) that each level needs."""
     depth = np.ones(256, np.int64)
     depth[64:128] = 2
     depth[sorted(set(LEVELS) - {BACKGROUND, SHADOW_CANDIDATE, FOREGROUND})] = 4
@@ -254,7 +254,7 @@ def _levels(depth: int, candidates: int) -> npt.NDArray[np.uint8]:
 
 @cache
 def _cells(depth: int, candidates: int) -> npt.NDArray[np.unsignedinteger]:
-    """Return the pixels (256,) that a byte of some depth stands for, 8, 4 or 2 levels as one number."""
+    """Return the pixels (256,) of each byte of a depth, 8, 4 or 2 levels as one number."""
     places = np.arange(256)[:, None] >> np.arange(8 - depth, -1, -depth) & (1 << depth) - 1
     pixels = np.ascontiguousarray(_levels(depth, candidates)[places])
     return pixels.view({1: np.uint64, 2: np.uint32, 4: np.uint16}[depth]).reshape(256)
@@ -279,7 +279,7 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def _chunks(data: bytes) -> dict[bytes, bytes]:
-    """Chunks by kind, those of one kind joined. Raises ValueError for what is damaged or cut off."""
+    """Return the chunks by kind, those of one kind joined. Raises ValueError for a damaged or truncated image."""
     if not data.startswith(SIGNATURE):
         raise ValueError("no PNG")
     chunks: dict[bytes, bytes] = {}

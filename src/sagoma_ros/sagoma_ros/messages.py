@@ -1,9 +1,9 @@
-"""Stamps as whole nanoseconds (equal means the same instant) and named values of messages; latencies and thinning; what
-messages may hold at most, and how they are read from their bytes.
+"""Stamps as whole nanoseconds (equal means the same instant) and named values of messages; latencies and thinning;
+limits of messages, and reading them from their bytes.
 
-What is larger is refused and counted before memory is taken for it: a subscription with ``raw=True`` hands over a
-message's bytes. The middleware keeps up to a queue (`qos.DEPTH`) of what was sent, whatever its size; these limits
-bound what the nodes keep and work on.
+Larger messages are refused and counted before memory is allocated for them: a subscription with ``raw=True`` delivers a
+message's bytes. The middleware keeps up to a queue (`qos.DEPTH`) of messages of any size; these limits bound the memory
+of the nodes.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ _INTEGERS = ("resume_ns", "phase_ns", "keep", "of")
 
 
 def thinning_message(rule: FrameDecimation, text: str = "") -> DiagnosticArray:
-    """Return a rule as one status, stamped with the first capture stamp that it holds for; ``text`` says why."""
+    """Return a rule as one status, stamped with the first capture stamp that it holds for; ``text`` : the reason."""
     thins = rule.keep < rule.of
     status = DiagnosticStatus(
         level=DiagnosticStatus.WARN if thins else DiagnosticStatus.OK,
@@ -122,12 +122,12 @@ MOST_CLOUD_BYTES = 8 << 20  # a hull of 5 mm voxels on five cameras sends less t
 MOST_TEXT_BYTES = 1 << 20  # the bodies of 250 persons have a quarter of it
 MOST_JOINTS = 10_000  # 250 persons have 24 numbers each
 MOST_MASK_BYTES = 4 << 20  # a mask of noise of 20 megapixels at one bit a pixel; those of people have 2 to 6 KB
-AFTER_STAMP = 4 + 8  # bytes: what leads in, and the stamp of a header (CDR: OMG DDS-XTypes 1.3, 7.4.3)
+AFTER_STAMP = 4 + 8  # bytes: encapsulation, and the stamp of a header (CDR: OMG DDS-XTypes 1.3, 7.4.3)
 _COUNTED = {"position": MOST_JOINTS, "name": MOST_JOINTS, "joint_names": MOST_JOINTS, "transforms": MOST_JOINTS}
 
 
 def oversize(message: Any) -> str:
-    """Return what in a message is larger than any node sends; empty when nothing is."""
+    """Name the part of a message that is larger than any node sends; empty for none."""
     data = getattr(message, "data", ())
     most = MOST_TEXT_BYTES if isinstance(data, str) else MOST_CLOUD_BYTES
     size = len(data) * getattr(data, "itemsize", 1)
@@ -147,7 +147,7 @@ def check_mask_bytes(count: int, where: str) -> None:
 
 
 def read_message(message: bytes, kind: type[T]) -> T:
-    """Read a serialised message of any type. Raises InputError for bytes that are none."""
+    """Read a serialised message of any type. Raises InputError for invalid bytes."""
     try:
         return deserialize_message(message, kind)
     except Exception as error:  # whatever the middleware raises

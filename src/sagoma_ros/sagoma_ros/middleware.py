@@ -1,4 +1,4 @@
-"""What a process finds around it: bounds of what the middleware keeps, whom it hears, and files of packages.
+"""A process's environment: memory bounds of the middleware, its discovery peers, and files of packages.
 
 Environment variables are read when a process first touches ROS, and its children inherit them. Without the bounds, one
 message of 16 MiB on each topic costs a process hundreds of megabytes until it ends (docs/how-to/faults.md): ROS has
@@ -24,13 +24,13 @@ QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_")  # glibc's own: a user's word goes before ours
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 _LARGE_BYTES = 1 << 20  # no message, mask or product of a frame set is as large; images are, and hostile messages
-_SPARE_BYTES = 16 << 20  # a server's heap rises and falls by so much within a frame set: to trim that would cost time
+_SPARE_BYTES = 16 << 20  # a server's heap varies by this within a frame set: trimming less would cost time
 
 
 def bound_memory(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Bound what this process keeps, and let its nodes be found at once; to be called before it touches ROS.
+    """Bound this process's memory, and let its nodes be found at once; to be called before it touches ROS.
 
-    A profile of Fast DDS or a malloc setting that the environment names is left as it is.
+    A profile of Fast DDS or a malloc setting that the environment names is kept.
     """
     if not any(environment.get(name) for name in (*PROFILE_VARIABLES, QOS_FROM_PROFILE)):
         environment[PROFILE_VARIABLES[0]] = str(PROFILE)
@@ -41,7 +41,7 @@ def bound_memory(environment: MutableMapping[str, str] = os.environ) -> None:
 
 
 def release_free_memory() -> None:
-    """Ask the C library for what freed arrays left in its heap.
+    """Return freed memory of the C library's heap to the system.
 
     Building maps and models takes tens of megabytes for a moment, and glibc keeps them as its own otherwise.
     """
@@ -59,14 +59,14 @@ def _call(name: str, *arguments: int) -> None:
 
 PROFILE_VARIABLE = PROFILE_VARIABLES[0]
 PEERS_VARIABLE, RANGE_VARIABLE = "ROS_STATIC_PEERS", "ROS_AUTOMATIC_DISCOVERY_RANGE"
-ALONE = "LOCALHOST"  # with peers: they are asked by unicast, and nobody else
+ALONE = "LOCALHOST"  # with peers: unicast to them alone
 
 
 def use_peers(text: str, environment: MutableMapping[str, str] = os.environ) -> None:
     """Let this process and its children find these machines by unicast, ``ADDRESS,ADDRESS,...``, and no others.
 
     The profile of :func:`profile_file` is used, unless the environment names another one. Every machine names at least
-    the server; the server, all of them. Raises InputError for what is no address.
+    the server; the server, all of them. Raises InputError for an invalid address.
     """
     addresses = [_address(word.strip()) for word in text.split(",")]
     environment[PEERS_VARIABLE] = ";".join(addresses)

@@ -68,7 +68,7 @@ class SagomaNode(LifecycleNode):
         """What the process does each time the node has become active."""
 
     def configure(self) -> None:
-        """Connect: open what the settings name."""
+        """Connect: open the files and connections of the settings."""
 
     def activate(self) -> None:
         """Start."""
@@ -182,7 +182,7 @@ class SagomaNode(LifecycleNode):
             self.get_logger().error(str(error))
             self.health.status(ERROR, str(error))
             return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # a defect of ours: say where, and leave the node usable
+        except Exception as error:  # a defect of ours: log where, and leave the node usable
             self.report(error)
             return TransitionCallbackReturn.FAILURE
         if done is not None:
@@ -206,7 +206,7 @@ def declare_parameters(node: Node, settings_class: type) -> None:
 
 
 def _of_type(leaf: Leaf, value: Any) -> Any:
-    """Return the value; a whole number given for a parameter with decimals as such a one, so that it keeps its type."""
+    """Return the value, an int for a float parameter as a float, so that the parameter keeps its type."""
     if leaf.type is float and type(value) is int:
         return float(value)
     if leaf.type == list[float] and isinstance(value, Sequence) and any(type(one) is int for one in value):
@@ -220,7 +220,7 @@ def _change_of_type(known: Mapping[str, Leaf], change: Parameter) -> Parameter:
 
 
 def _describe_ranges(node: Node, known: Mapping[str, Leaf]) -> None:
-    """Let the node tell ranges to whoever asks, as rqt does for its sliders.
+    """Let the node report ranges of parameters, which rqt uses for its sliders.
 
     rclpy does not get them: it would refuse values without saying what to do, and bad overrides with an exception.
     """

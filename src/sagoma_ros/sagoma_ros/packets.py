@@ -1,8 +1,8 @@
-"""Packets (`mocap_packets`) to and from messages, and the topics on which our nodes hand them to each other.
+"""Packets (`mocap_packets`) to and from messages, and the topics on which our nodes exchange them.
 
 Those topics hold several tables in one std_msgs/Float64MultiArray. Its first dimension is labelled with the frame id;
 its two numbers are seconds and nanoseconds of the stamp. Each other dimension is a table: label ``NAME: COLUMN ...``,
-size the rows, stride the columns. Clouds are for whoever listens else. Silhouettes are in `images`, poses in `poses`.
+size the rows, stride the columns. Clouds are for other subscribers. Silhouettes are in `images`, poses in `poses`.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ LATENCY = PacketTopic[AnsweredSet](
     read_latency,
 )
 
-# --- for whoever listens: tables of float64 fields as PointCloud2 in single precision, and back
+# --- for other subscribers: tables of float64 fields as PointCloud2 in single precision, and back
 
 DEFAULTS = {"body": 0.0, "person": 1.0, "doubtful": 0.0, "moved": 0.0}
 """What a cloud without one of these fields means: all is one body, one person's, nothing is doubtful or elsewhere."""
@@ -147,7 +147,7 @@ _NUMPY_TYPES = {
 def to_cloud(
     points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1, datatype: int = PointField.FLOAT32
 ) -> PointCloud2:
-    """Table (n,) to an unordered cloud of fields of one type, or to one of so many rows."""
+    """Return a table (n,) as a cloud of fields of one type, unordered or organised in rows."""
     names, kind = points.dtype.names or (), np.dtype("<" + _NUMPY_TYPES[datatype])
     numbers = np.ascontiguousarray(points).view(np.float64).astype(kind)
     cloud = PointCloud2(height=rows, width=len(points) // rows, is_bigendian=False, is_dense=True)
@@ -260,6 +260,6 @@ def joint_state_message(
 def covariance_cloud(names: Sequence[str], covariance: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
     """Return a covariance (n, n) as a cloud of n points, the rows, with n fields, the columns: float64, by name.
 
-    It has a stamp, which a Float64MultiArray has not, so that it can be paired with the joint states that it is of.
+    Unlike a Float64MultiArray it has a stamp, by which it is paired with its joint states.
     """
     return to_cloud(fill(layout(*names), covariance), stamp_ns, frame_id, datatype=PointField.FLOAT64)

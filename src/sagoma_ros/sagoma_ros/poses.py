@@ -78,7 +78,7 @@ def read_motions(message: MultiDOFJointState, where: str) -> dict[int, JointMoti
 
 
 def predictions_message(predictions: Predictions, frame_id: str = "map") -> MultiDOFJointState:
-    """Return everybody's predictions as :func:`motion_message`; who has no pose has no joints."""
+    """Return everybody's predictions as :func:`motion_message`; persons without a pose have no joints."""
     motions = {person: one.motion for person, one in predictions.of.items() if one.motion is not None}
     return motion_message(motions, predictions.stamp_ns, frame_id)
 
@@ -122,7 +122,7 @@ class FramePublisher:
             self._publisher = LazyPublisher(node, TFMessage, topic, qos)
 
     def publish(self, make: Callable[[], Transforms]) -> None:
-        """Publish what ``make`` returns, if somebody listens."""
+        """Publish the message that ``make`` returns, if there is a subscriber."""
         if self._publisher is not None:
             self._publisher.publish(lambda: TFMessage(transforms=list(make())))
 

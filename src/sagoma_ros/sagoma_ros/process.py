@@ -81,31 +81,31 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
 
 
 def autostart(nodes: Sequence[SagomaNode]) -> bool:
-    """Bring the nodes whose parameter ``autostart`` says so to active, as :func:`run_nodes` does; False: it failed."""
+    """Activate the nodes with the parameter ``autostart``, as :func:`run_nodes` does; False: it failed."""
     starting = [node for node in nodes if read_declared(node, CommonSettings).autostart]
     steps = [node.trigger_configure for node in starting] + [node.trigger_activate for node in reversed(starting)]
     return all(step() == TransitionCallbackReturn.SUCCESS for step in steps)
 
 
 def freeze_garbage_collector() -> None:
-    """Collect garbage now, and keep what is in use out of later collections (``gc.freeze``).
+    """Collect garbage now, and exclude the objects in use from later collections (``gc.freeze``).
 
-    Modules and compiled kernels are some 400 000 objects: a full collection through them takes 0.15 s and more, while
-    frame sets wait. What is left is small, and is collected often: Python by itself would wait until what lived for a
-    while is a quarter of those 400 000, as it counts what is frozen among what a full collection goes through.
+    Modules and compiled kernels are some 400 000 objects: a full collection of them takes 0.15 s and more, while frame
+    sets wait. The other objects are few, and collected often: Python's default would wait until those of the middle
+    generation are a quarter of all, as it counts the frozen ones among these.
     """
     gc.unfreeze()
     gc.collect()
     gc.freeze()
-    gc.collect()  # Python counts anew: now without what is frozen
+    gc.collect()  # resets Python's count of long-lived objects to those not frozen
     gc.set_threshold(*COLLECT_AFTER)
 
 
 class _Ending:
     """Takes SIGINT and SIGTERM; rclpy's own handlers would end the context before a node could release anything.
 
-    A signal raises KeyboardInterrupt, but while the executor spins: it is in the midst of its own work, and loses track
-    of the entities when that is interrupted. There it is only noted, and raised BLOCKED_S later if a callback blocks.
+    A signal raises KeyboardInterrupt, except while the executor spins, which loses track of its entities when it is
+    interrupted. There a flag is set, and the interrupt raised BLOCKED_S later if a callback blocks.
     """
 
     def __init__(self) -> None:

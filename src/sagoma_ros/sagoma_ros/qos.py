@@ -1,6 +1,6 @@
 """Quality of service of every topic of the graph, and the name that the graph has for it, in one place.
 
-Publishers are reliable (REP-2003), so that recorders miss nothing; the live hull server listens best effort, because
+Publishers are reliable (REP-2003), so that recorders miss nothing; the live hull server subscribes best effort, because
 a lost silhouette costs one view of one frame set while a repeated one would delay them all, unless heartbeats come as
 often as our DDS profile has them (parameter resend, docs/how-to/hosts.md). Queues are bounded; dead readers are free.
 """
@@ -24,7 +24,7 @@ SILHOUETTE_SUBSCRIBER = _profile(ReliabilityPolicy.BEST_EFFORT)
 SILHOUETTE_RELIABLE_SUBSCRIBER = _profile(ReliabilityPolicy.RELIABLE)
 RESULT = _profile(ReliabilityPolicy.RELIABLE)
 LATCHED = _profile(ReliabilityPolicy.RELIABLE, depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-LATCHED_BY_MANY = _profile(  # to hear every publisher's: depth 1 would keep the last one's alone
+LATCHED_BY_MANY = _profile(  # every publisher's message: depth 1 would keep the last one's alone
     ReliabilityPolicy.RELIABLE, depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 TF = _profile(ReliabilityPolicy.RELIABLE, depth=100)  # as tf2_ros offers it

@@ -27,8 +27,8 @@ CHECKSUM_BYTES = 4
 LENGTH_SHIFT = 5  # codes and their lengths are kept in one number
 _ORDER_OF_LENGTHS = (16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15)  # RFC 1951
 
-# Weights of the code, per mille. A byte of a mask has one level, or an outline in it, rarely two: measured on masks of
-# rendered rooms (bench/mask_png.py of commit d6079d2); others only get larger.
+# Weights of the code, per mille. A byte of a mask has one level, or an outline in it, rarely two. Measured on masks of
+# rendered rooms; streams of other masks only get larger.
 BACKGROUND_OR_FOREGROUND = 120
 ONE_LEVEL, OUTLINE, RARER = {1: 0, 2: 60, 4: 30}, {1: 18, 2: 18, 4: 3}, 12
 MATCH, SHORT_MATCH, LONGEST_MATCH = 6, 18, 70
@@ -37,7 +37,7 @@ Bits = list[tuple[int, int]]
 
 
 class RunCode(NamedTuple):
-    """What :func:`deflate` and :func:`inflate` need to know of a code; entries are code << LENGTH_SHIFT | bits.
+    """Tables of a code for :func:`deflate` and :func:`inflate`; entries are code << LENGTH_SHIFT | bits.
 
     literal (256,), match (259,) uint64 : of each byte, and of each match of distance 1, all bits of it included. end :
     of the end. symbols (4096,) int64 : symbol << LENGTH_SHIFT | bits that the next bits of a stream mean, -1 nothing.
@@ -79,7 +79,7 @@ def run_code(depth: int) -> RunCode:
 
 
 def most_bytes(code: RunCode, raw_bytes: int, runs: int) -> int:
-    """Return how long the stream of so many bytes in so many runs can be at most.
+    """Return the largest length of a stream, given its numbers of bytes and runs.
 
     A run is a literal, its longest matches, a shorter one with up to five extra bits, and up to two literals.
     """
@@ -132,7 +132,7 @@ def deflate(value, count, code, out):  # type: ignore[no-untyped-def]
 
 @njit(**OPTIONS)
 def inflate(stream, code, least, extra, value, count):  # type: ignore[no-untyped-def]
-    """Read a stream of :func:`deflate` (n,) uint8; return how many runs it holds, -1 if it is damaged or another's.
+    """Read a stream of :func:`deflate` (n,) uint8; return its number of runs, -1 if it is damaged or another encoder's.
 
     code : RunCode that it was written with. least, extra : see :func:`match_lengths`. value (m,) uint8, count (m,)
     int64 : written; -1 as well when there are more runs than m.
@@ -204,7 +204,7 @@ def _checksum(a, b, value, count):  # type: ignore[no-untyped-def]
 
 @cache
 def match_lengths() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the shortest match (29,) of the symbols 257 to 285, and how many extra bits say how much longer it is."""
+    """Return the shortest match (29,) of the symbols 257 to 285, and the number of extra bits of its length."""
     extra = np.array([0] * 8 + [k for k in range(1, 6) for _ in range(4)] + [0])
     least = SHORTEST + np.concatenate([[0], np.cumsum(1 << extra[:-1])])
     least[-1] = LONGEST
@@ -212,7 +212,7 @@ def match_lengths() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
 
 
 def _weights(depth: int) -> list[int]:
-    """Return how often each symbol may occur, in any unit."""
+    """Return the assumed frequency of each symbol, in any unit."""
     pixels = np.arange(256)[:, None] >> np.arange(8 - depth, -1, -depth) & (1 << depth) - 1
     outlines = (np.diff(pixels, axis=1) != 0).sum(axis=1).tolist()
     weight = [ONE_LEVEL[depth] if n == 0 else max(OUTLINE[depth] // RARER ** (n - 1), 1) for n in outlines]

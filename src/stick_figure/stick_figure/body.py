@@ -1,7 +1,7 @@
 """The size of one person: limb lengths and the ratios that place shoulders and hips (thesis Table 5.3, corrected).
 
 A body file (YAML) holds full stick lengths by name, shoulder width, the two ratios, metres, and optionally the build,
-which the surface follows (`body_surface`). The limbs' ``thickness``, which older files have, is left aside.
+which shapes the surface (`body_surface`). The limbs' ``thickness`` of older files is ignored.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ TYPICAL_STATURE_M = 1.75
 STATURES_M = (0.5, 2.6)
 """The smallest and the greatest person."""
 BUILD_NUMBERS = 14
-"""How many numbers say how a body's surface differs from that of others of its lengths (`body_surface`)."""
+"""Number of parameters of a body's surface beside its lengths (`body_surface`)."""
 
 BEND_NUMBERS = 7
-"""How many numbers say how the trunk is bent (`trunk_bend`)."""
+"""Number of parameters of the trunk's bend (`trunk_bend`)."""
 
 _LIMBS = ((1,), (2, 3), (4, 5), (6, 7), (8, 9))
 _STICK_POINTS = ((-1, -1), (2, 1), (3, 7), (4, 8), (5, 9), (6, 10), (7, 11), (8, 12), (9, 13), (10, 14))
@@ -201,7 +201,7 @@ def _check_size(name: str, value: float) -> float:
 
 KEYS = ("lengths", "shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
 OPTIONAL_KEYS = ("units", "source", "thickness", "build")
-MOST_BODY_BYTES = 64 << 10  # that of one person has 1 KB; bodies come as messages too, and parsing takes its time
+MOST_BODY_BYTES = 64 << 10  # one person's has 1 KB; bodies come as messages too, and parsing is slow
 MAX_LENGTH_M, MAX_BUILD = 2.0, 6.0
 _REMEDY = f"A body file is a mapping with the keys {', '.join(KEYS)}."
 
@@ -212,7 +212,7 @@ def load_body(path: str | Path) -> Body:
 
 
 def save_body(body: Body, path: str | Path, source: str = "") -> None:
-    """Writes a body so that :func:`load_body` gives the same numbers; `source` says where the sizes come from.
+    """Write a body so that :func:`load_body` returns the same numbers; `source` : origin of the sizes.
 
     All or nothing. Raises InputError when the file cannot be written.
     """
@@ -239,7 +239,7 @@ def parse_body(text: str, where: str) -> Body:
 
 
 def _build(given: Any, where: str) -> np.ndarray:
-    """Return the build in a file; the average one where there is none."""
+    """Return the build in a file, or the average one."""
     if given is None:
         return np.zeros(BUILD_NUMBERS)
     numbers = [v for v in given if isinstance(v, int | float) and np.isfinite(v)] if isinstance(given, list) else []
@@ -250,7 +250,7 @@ def _build(given: Any, where: str) -> np.ndarray:
 
 
 def format_body(body: Body, source: str = "") -> str:
-    """Return a body file's text, from which :func:`parse_body` gives the same numbers."""
+    """Return a body file's text, from which :func:`parse_body` returns the same numbers."""
     document: dict[str, Any] = {"units": "metres"}
     if source:
         document["source"] = source

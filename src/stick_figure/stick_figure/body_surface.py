@@ -6,8 +6,8 @@ ankles. Each of the eight numbers of a capsule (start and end in the stick's fra
 
     of_length * length + stature * (of_stature + slopes . (lengths / stature - mean) + modes . build)
 
-where ``length`` is that of the stick, for numbers along it. ``build`` is what the lengths do not tell (girths, the
-trunk's depth, where flesh lies about the bones), in units of how people differ: independent, of standard deviation 1.
+where ``length`` is that of the stick, for numbers along it. ``build`` holds the differences of people of equal lengths
+(girths, the trunk's depth, flesh about the bones): independent, of standard deviation 1.
 
 The table ``builds.csv`` (made by ``models/body_builds.py``) is a Gaussian over the surfaces of 40 rendered people in 12
 poses each (MakeHuman's mesh with random phenotypes, adolescent to old, CC0), found by expectation maximisation from
@@ -72,7 +72,7 @@ EXTREMITY_CAPSULES, EXTREMITY_STICKS = (10, 11, 16, 17), (L_FOREARM, R_FOREARM, 
 """Hands and feet among the capsules, left first, and their sticks."""
 _ARM_STICKS = (L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM)
 GIRTH_SD = 0.1
-"""Spread of a person's radii about what their girth says, over the radius."""
+"""Standard deviation of a person's radii about those of the girth, over the radius."""
 _LEAST_RADIUS = 0.002  # over the stature: no build makes a limb thinner
 
 AVERAGE_BMI = 22.0
@@ -171,8 +171,8 @@ def capsule_numbers(body: Body) -> tuple[np.ndarray, np.ndarray]:
 
 
 def build_of_girth(girth: float) -> np.ndarray:
-    """Return the likeliest build (BUILD_NUMBERS,) of people whose radii are ``girth`` times the average, each of them
-    give or take GIRTH_SD: the conditional mean of the table's Gaussian."""
+    """Return the most likely build (BUILD_NUMBERS,) of radii that are ``girth`` times the average, standard deviation
+    GIRTH_SD: the conditional mean of the table's Gaussian."""
     table = builds()
     radii = table.of_stature[:, 6:].ravel()
     modes = table.modes[:, 6:].reshape(len(radii), -1) / (GIRTH_SD * radii[:, None])
@@ -214,7 +214,7 @@ def lengths_of(body: Body) -> np.ndarray:
 
 
 def length_along(part: str, stick: int, body: Body) -> np.ndarray:
-    """What the numbers (8,) of a capsule go along with, m, with the stick's direction; 0 across it and for radii."""
+    """Return the length (8,) m, signed by the stick's direction, that scales each number; 0 across it and for radii."""
     along, axis = np.zeros(len(NUMBERS)), STICK_AXIS[stick]
     along[[axis, 3 + axis]] = STICK_SIGN[stick] * body.lengths[stick]
     if part == "girdle":  # reaches towards the shoulder

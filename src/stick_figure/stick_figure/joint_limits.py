@@ -1,14 +1,14 @@
-"""Where joints can go, as soft residuals of the fit, of the body's refinement and of the filter (compiled).
+"""Joint limits as soft residuals of the fit, of the body's refinement and of the filter (compiled).
 
 A residual is the part of an angle that lies beyond its range (`skeleton.ANGLE_LOW`, `ANGLE_HIGH`; elbows and knees stop
-where forearm meets upper arm and calf meets thigh), and there is none inside: poses that people can take are estimated
-exactly as without limits. An elbow or knee that passes straight by more than a margin can also be described the other
-way round, with the upper limb turned by pi about itself; it meets a limit only if that description is no better. (A
-limit in any case would trap limbs whose upper part was turned the wrong way. The fit, which bends hinges the right way
-again afterwards, sets no such limit at all: its margin is infinite.)
+where forearm meets upper arm and calf meets thigh). Inside it is zero, so feasible poses are estimated exactly as
+without limits. An elbow or knee that passes straight by more than a margin can also be described the other way round,
+with the upper limb turned by pi about itself; it meets a limit only if that description is no better. (A limit in any
+case would trap limbs whose upper part was turned the wrong way. The fit, which bends hinges the right way again
+afterwards, sets no such limit at all: its margin is infinite.)
 
-Joints are limited in their rates, too: a straight leg says little of how its thigh turns about itself, and from noise a
-filter would read turns that no hip makes, which throw the foot about as soon as the knee bends.
+Joint rates are limited, too: a straight leg hardly shows the twist of its thigh, and a filter would take noise for
+twists that no hip makes, which displace the foot as soon as the knee bends.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE
 
 # Thresholds: rates from kicks and throws in the literature, hips checked by the spinning kicks of python
 # bench/people.py (35 rad/s lets some feet jump, 15 to 25 none); else judgement.
-LIMIT_SD_RAD = 0.2  # beyond its range, of what people do with a joint
+LIMIT_SD_RAD = 0.2  # of angles beyond their range
 LARGEST_FLEXION = 2.6  # rad, where forearm meets upper arm and calf meets thigh
 FLATTEST = 0.2
 """Cosine of a limb's second angle below which its first and third turn about almost the same axis: no limit there."""
@@ -68,7 +68,7 @@ def add_joint_limits(RJ, hinges, hinge_margin, weight, H, g):
 def joint_excess(RJ, hinges, hinge_margin, first, excess):
     """Fill ``excess`` (18,) with the signed part of every angle beyond its range, rad; 0 where it is not defined.
 
-    ``first`` (5,) : the first angle of each ball joint's triple that was taken.
+    ``first`` (5,) : the first angle of each ball joint's chosen triple.
     """
     excess[:] = 0.0
     y, z = RJ[0, 1, 2], RJ[0, 2, 2]
@@ -94,7 +94,7 @@ def joint_excess(RJ, hinges, hinge_margin, first, excess):
 
 @njit(cache=True)
 def hyperextension(hinge, hinges, margin):
-    """Return how much further (rad) than the margin an elbow (hinge 0, 1) or knee (2, 3) is bent the wrong way."""
+    """Return by how much (rad) an elbow (hinge 0, 1) or knee (2, 3) exceeds the margin beyond straight."""
     return (hinges[hinge] if hinge < 2 else -hinges[hinge]) - margin
 
 
@@ -120,7 +120,7 @@ def beyond_range(value, angle):
 def ball_angles(ball, R, values):
     """Fill ``values`` (3,) with angles a, b, c of R = Rx(a) Rj(b) Rk(c), of the two triples the one less out of range.
 
-    Returns by how much it is, summed over the three, rad.
+    Returns the excess over the ranges, summed over the three, rad.
     """
     j, k = BALL_EULER_AXES[ball, 1], BALL_EULER_AXES[ball, 2]
     sign = 1.0 if j == 1 else -1.0
@@ -198,7 +198,7 @@ def add_neck_rest(R_neck, weight, H, g):
 
 @njit(cache=True)
 def limit_rates(velocity):
-    """Shorten the rates of joints in the pose's velocity (24,) to what joints reach, in place."""
+    """Clip the rates of joints in the pose's velocity (24,) to their limits, in place."""
     for ball in range(5):
         square = 0.0
         for slot in SLOT_OF_JOINT_AXIS[ball]:
@@ -215,7 +215,7 @@ def limit_rates(velocity):
 
 @njit(cache=True)
 def stop_at_straight(before, hinges, velocity):
-    """Stop elbows and knees that a motion takes from ``before`` (4,) rad past straight there, and their rates."""
+    """Stop elbows and knees at straight where a motion from ``before`` (4,) rad passes it; their rates become 0."""
     for h in range(4):
         straight = max(hyperextension(h, before, 0.0), 0.0)  # one that was past it already goes no farther
         if hyperextension(h, hinges, 0.0) > straight:

@@ -20,7 +20,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from capture_rig.rigid import matmul3, rotation_log, turn
 
-STEP_LIMIT = 0.5  # m, rad: beyond a step whose largest component is longer, linearisations do not hold; judgement
+STEP_LIMIT = 0.5  # m, rad: largest component of a step within which linearisations hold; judgement
 CHAIN = np.array(
     [
         [-1, -1, -1, -1],
@@ -209,7 +209,7 @@ def point_jacobian(stick, point, t0, A, axes, J, slots):
 
 @njit(cache=True)
 def scale_of_step(step):
-    """Return by what a Gauss-Newton step (m and rad) is shortened to stay where its linearisation holds."""
+    """Return the factor that shortens a Gauss-Newton step (m and rad) to STEP_LIMIT."""
     return min(1.0, STEP_LIMIT / max(np.abs(step).max(), STEP_LIMIT))
 
 

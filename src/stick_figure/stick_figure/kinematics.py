@@ -25,8 +25,8 @@ def inverse(body: Body, points_world: Array, previous: Pose | None = None) -> Po
     """Return the pose of reference points (15, 3), world frame, metres: the exact inverse of `kinematics.forward`.
 
     The torso is the rigid fit to its six points; limbs follow from directions, so limbs of other lengths than the
-    body's do no harm. What the points leave open (the twist of a straight arm or leg, the first angle where the limb
-    points along its axis) keeps the angle of `previous`, or of the T-pose. Elbows and knees bend the right way.
+    body's do no harm. Undetermined angles (the twist of a straight arm or leg, the first angle where the limb points
+    along its axis) keep their value of `previous`, or of the T-pose. Elbows and knees bend the right way.
     Raises InputError for a wrong shape, a point that is not finite, or two joints of one limb in the same place.
     """
     points = np.asarray(points_world, float)
@@ -76,7 +76,7 @@ def _straight_limb(limb, upper, remembered, R):
     """R (3, 3) <- a straight limb: the first two angles from its direction, the twist remembered.
 
     Both covers point the same way but carry the remembered twist differently: the one inside the joint ranges is
-    taken, or the one nearer the remembered angles.
+    chosen, or the one nearer the remembered angles.
     """
     x, y, z = upper
     slots = BALL_ANGLES[1 + limb]
@@ -124,7 +124,7 @@ def forward(body: Body, pose: Pose) -> Array:
 
 
 def farthest_apart_m(body: Body, pose: Pose, other: Pose) -> float:
-    """Return how far apart, m, two poses' reference points are at most."""
+    """Return the largest distance, m, of corresponding reference points of two poses."""
     return float(np.linalg.norm(forward(body, pose) - forward(body, other), axis=1).max())
 
 

@@ -1,7 +1,7 @@
 """Error metrics of thesis 7.2, corrected: points, angles, rotations, with and without constant joint offsets.
 
-Distances in metres, angles in radians. NaN marks what is unknown in the truth or missing in the estimate; such
-entries are left out of every mean.
+Distances in metres, angles in radians. NaN marks entries unknown in the truth or missing in the estimate; they are left
+out of every mean.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def pelvis_rotations(points_world: Array) -> Array:
 def joint_offsets(estimate: Array, truth: Array) -> Array:
     """Constant offset (15, 3) of each point, metres, pelvis frame: mean over frames of R_pelvis^T (estimate - truth).
 
-    Where two systems mean different places by "shoulder" or "hip", that part of the error says nothing about tracking.
+    Where two systems mean different places by "shoulder" or "hip", that part of the error is not the tracker's.
     """
     in_pelvis = np.einsum("fji,fpj->fpi", pelvis_rotations(truth), np.asarray(estimate, float) - truth)
     known = np.isfinite(in_pelvis).all(-1, keepdims=True)

@@ -2,7 +2,7 @@
 
 Joint k of a :class:`JointMotion` moves stick k of `skeleton.STICK_NAMES`: the torso floats in the world; neck,
 shoulders and hips are carried by the torso, elbows and knees by the upper limb. This is the form of ROS's
-MultiDOFJointState: it has no singularity, and every number has the unit that its place says.
+MultiDOFJointState: it has no singularity, and every number has the unit of its place.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Pose:
     def angles(self, previous: Array | None = None) -> Array:
         """Return the 18 angles (rad), the exact inverse of :meth:`from_angles` inside the ranges of thesis Table 5.1.
 
-        A pose outside the ranges gives an equal description of itself that exceeds them (never a clipped one).
-        `previous` (18,) settles what a gimbal singularity leaves open and which of two equal descriptions is meant.
+        A pose outside the ranges has angles that exceed them (never clipped ones). `previous` (18,) selects between two
+        equal descriptions, and gives the angles that a gimbal singularity leaves undetermined.
         """
         return angles_of_joints(self.R_joints, self.hinges, previous)
 
@@ -122,7 +122,7 @@ class JointMotion:
 
     @property
     def pose(self) -> Pose:
-        """The pose; what a hinge's quaternion says about other axes than its own is left out."""
+        """The pose; rotations of a hinge about other axes than its own are left out."""
         R, hinges = rotations_of_joints(np.ascontiguousarray(self.quaternions, float))
         return Pose(self.position_world, R[0], R[1:], hinges)
 

@@ -66,7 +66,7 @@ def wrap_pi(angle: Array) -> Array:
 
 
 BALL_SLACK_RAD = 0.5
-"""By which a ball joint's angles may exceed their ranges in all before another description, a jump by pi, is taken."""
+"""Total excess over its ranges, rad, at which a ball joint changes to its other description, a jump by pi."""
 HINGE_SLACK_RAD = 0.35
 """The same of elbows and knees. The hand of a straight arm is known to some 3 cm and its elbow too, so that a forearm
 of 25 cm seems bent by 0.17 rad (1 sd): within two of those the upper arm keeps its twist instead of turning by pi."""
@@ -97,7 +97,7 @@ def wrap_into_range(value, slot):
 
 @njit(cache=True)
 def excess_over_range(values, slots):
-    """Sum over the slots of what the values exceed their ranges by, rad."""
+    """Return the sum over the slots of the values' excesses over their ranges, rad."""
     total = 0.0
     for value, slot in zip(values, slots):  # noqa: B905 (numba has no strict)
         total += max(ANGLE_LOW[slot] - value, value - ANGLE_HIGH[slot], 0.0)
@@ -161,7 +161,7 @@ def _limb_angles(limb, R, hinge, reference, continuous, best):
 
 @njit(cache=True)
 def _unwrapped(value, before):
-    """The same angle within half a turn of what it was before."""
+    """Return the same angle within half a turn of the one before."""
     return value - TURN * math.floor((value - before) / TURN + 0.5)
 
 

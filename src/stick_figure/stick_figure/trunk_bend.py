@@ -1,25 +1,24 @@
-"""The trunk as one bends it: hips that turn and shoulders that move against the line from hips to neck.
+"""The trunk's bend: axial rotation, lateral bending and flexion of the spine, and movement of the shoulder girdle.
 
 The stick figure's torso is rigid; a person's is not. A pelvis turns and tilts against the chest, collar bones carry the
-shoulder joints up and down, forward and back, and a back grows round. With the line from the middle of the hips to the
-neck as the torso's axis, what is left of that in figure and surface are seven numbers (`BEND`): turn and tilt of the
-line between the hips, each shoulder's place ahead and up, and the spine's flexion: by how much the pelvis is tilted
-back against that line, as far as it is. A body holds them (`Body.bend`), zero in its rest. Starts of arms and thighs
-move with them, and the trunk's surface; all to first order.
+shoulder joints up and down, forward and back, and a back grows round. The torso's axis is the line from the middle of
+the hips to the neck; against it seven numbers remain: yaw and roll of the line between the hips, each shoulder's place
+ahead and up, and the spine's flexion (the pelvis' tilt backwards). A body holds them (`Body.bend`), zero at rest.
+Starts of arms and thighs and the trunk's surface move with them; all to first order.
 
-How far they go: chest against pelvis turns by 7 degrees to either side in walking and 35 at most, and leans by 5 and
-25 (White & Panjabi, Clinical Biomechanics of the Spine); half of it is between the hips and the line to the neck. A
-collar bone of 15 cm rises by 30 degrees with the arm (Inman, Saunders & Abbott 1944) and moves forward and back by 15.
-From standing to a full bow the lumbar spine flexes by 50 to 60 degrees (White & Panjabi), half of it at either end of
-the line; its joints lie some 5 cm behind the line, which flexion so makes shorter, and the trunk between the line's
-ends goes back as an arc of that curvature does.
+Ranges: chest against pelvis turns by 7 degrees to either side in walking and 35 at most, and leans by 5 and 25 (White &
+Panjabi, Clinical Biomechanics of the Spine); half of it is between the hips and the line to the neck. A collar bone of
+15 cm rises by 30 degrees with the arm (Inman, Saunders & Abbott 1944) and moves forward and back by 15. From standing
+to a full bow the lumbar spine flexes by 50 to 60 degrees (White & Panjabi), half of it at either end of the line; its
+joints lie some 5 cm behind the line, so flexion shortens it, and the trunk between the line's ends moves back like an
+arc of that curvature.
 
-Centres of shoulders, hips and neck move in a posed body, too: a figure whose surface suits the outlines has its joints
-where they are in the mean pose, but flesh slides over the bones as limbs move. As centres are regressed on markers of
-the skin (Bell, Pedersen & Brand 1990 for hips, Meskers et al. 1998 for shoulders), they are here on the figure's pose:
-displacements, over the stature, linear in the directions of upper arms, thighs and head against the torso and in the
-trunk's bend; in the mean pose none. The table ``joint_centres.csv`` is made by ``models/joint_centres.py`` from tracked
-rendered people (MakeHuman's mesh, CC0) whose joints are known.
+Joint centres of shoulders, hips and neck move with the pose, too: a figure whose surface fits the outlines has its
+joints at their places in the mean pose, but flesh slides over the bones as limbs move. As others regress centres on
+markers of the skin (Bell, Pedersen & Brand 1990 for hips, Meskers et al. 1998 for shoulders), here they are regressed
+on the figure's pose: displacements, over the stature, linear in the directions of upper arms, thighs and head against
+the torso and in the trunk's bend; none in the mean pose. The table ``joint_centres.csv`` is made by
+``models/joint_centres.py`` from tracked rendered people (MakeHuman's mesh, CC0) whose joints are known.
 """
 
 from __future__ import annotations
@@ -39,18 +38,18 @@ from .skeleton import HEAD, L_THIGH, L_UPPER_ARM, POINT_NAMES, R_THIGH, R_UPPER_
 
 PELVIS_YAW, PELVIS_ROLL, LEFT_X, LEFT_Z, RIGHT_X, RIGHT_Z, FLEXION = range(BEND_NUMBERS)
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation.
+# best on the mesh_fit_ sets (python bench/people.py).
 REST_SD = np.array([0.15, 0.12, 0.03, 0.04, 0.03, 0.04, 0.15])
-"""How far they are from rest in daily movement: rad, rad, then m."""
+"""Standard deviations from rest in daily movement: rad, rad, m, m, m, m, rad."""
 RATE_SD = np.array([0.8, 0.65, 0.16, 0.2, 0.16, 0.2, 0.8])
-"""How far they move in a second, as a random walk: rad and m over the square root of a second."""
+"""Standard deviations of a random walk: rad and m over the square root of a second."""
 WITH_THE_CHEST = 0.5
-"""Share of the shoulders' movement that the chest between them takes part in; the rest is the collar bones'."""
+"""Share of the shoulders' movement that the chest makes; the rest is the collar bones'."""
 SHORTER, SHOULDERS_BACK, UPPER_BACK, LOWER_BACK = 0.13, 0.09, 0.2, 0.1
-"""Of the torso's length, for each rad of flexion: what the line from hips to neck loses, and how far shoulders and the
-trunk's capsules go back. Of an arc whose chest turns 0.6 rad for each rad of the pelvis: .09 at the shoulders, .18 and
-.08 of the line nearest to it; seen in 20 rendered people in the clips of the `mesh_fit_` sets: .09, .24 and .14; of the
-line .13 (correlation .94)."""
+"""Over the torso's length, for each rad of flexion: shortening of the line from hips to neck, and backward movement of
+shoulders and of the trunk's capsules. An arc whose chest turns 0.6 rad for each rad of the pelvis has .09 at the
+shoulders, .18 and .08 at the line; measured on 20 rendered people in the clips of the `mesh_fit_` sets: .09, .24 and
+.14; shortening .13 (correlation .94)."""
 _PART_OF_CAPSULE = tuple(part for part, own in PARTS.items() for _ in own)
 
 
@@ -63,8 +62,8 @@ FEATURES: tuple[str, ...] = (
     *(f"{limb}_{axis}" for limb in DIRECTIONS for axis in "xyz"),
     *("head_x", "flexion", "head_y", "pelvis_yaw", "pelvis_roll"),
 )
-"""What is regressed on, of the left side: unit vectors in the torso's frame, the trunk's bend over its spread. Of the
-right side they are those of the mirrored pose."""
+"""Regressors of the left side: unit vectors in the torso's frame, the trunk's bend over REST_SD. Those of the right
+side are taken from the mirrored pose."""
 _LIMBS, _ODD = 3 * len(DIRECTIONS), 3  # the first ones are the limbs', the last ones change sign in the mirror
 _MIRROR = np.array([1.0, -1.0, 1.0])
 _TORSO, _NECK, _HIPS = (POINT_NAMES.index(name) for name in ("torso", "neck", "left_hip"))
@@ -72,8 +71,8 @@ _SHOULDERS = POINT_NAMES.index("left_shoulder")
 
 
 class BendDerivatives(NamedTuple):
-    """How starts of sticks, starts and ends of capsules, m, torso frame, follow from the bend: (10, 3, 7), (k, 3, 7),
-    (k, 3, 7); zero but for what is fixed to the torso."""
+    """Derivatives, m, torso frame, by the bend: of sticks' starts (10, 3, 7), of capsules' starts and ends (k, 3, 7);
+    zero but on the torso."""
 
     origins: np.ndarray
     starts: np.ndarray
@@ -110,14 +109,14 @@ def bend_derivatives(body: Body) -> BendDerivatives:
 
 
 def _with_pelvis(y: float) -> np.ndarray:
-    """(3, 7) of a point at y to the left between the hips."""
+    """Return the derivative (3, 7) of a point at y to the left between the hips."""
     moved = np.zeros((3, BEND_NUMBERS))
     moved[0, PELVIS_YAW], moved[2, PELVIS_ROLL] = -y, y
     return moved
 
 
 def _with_shoulders(share: float) -> np.ndarray:
-    """(3, 7) of a point so far out towards the left shoulder, -1 at the right one."""
+    """Return the derivative (3, 7) of a point at ``share`` of the way out to the left shoulder, -1 at the right one."""
     moved = np.zeros((3, BEND_NUMBERS))
     left, right = (share, 0.0) if share > 0.0 else (0.0, -share)
     moved[0, [LEFT_X, RIGHT_X]] = left, right
@@ -127,8 +126,8 @@ def _with_shoulders(share: float) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def bend_columns(body: Body) -> np.ndarray:
-    """Return how neck, shoulders and hips (5, 3, 13) move in the torso's frame with its translation (3) and rotation
-    (3), and with the bend (7)."""
+    """Return the derivatives (5, 3, 13) of neck, shoulders and hips in the torso's frame by its translation (3) and
+    rotation (3), and by the bend (7)."""
     base, columns = body.torso_points[1:], np.zeros((5, 3, 6 + BEND_NUMBERS))
     columns[:, :, :3] = np.eye(3)
     for axis in range(3):
@@ -157,7 +156,7 @@ def joint_centres() -> JointCentres:
 
 
 def pose_features(body: Body, pose: Pose) -> np.ndarray:
-    """Return the FEATURES (2, n) of the left and the right side of a body as its trunk is bent."""
+    """Return the FEATURES (2, n) of the left and the right side of a body with its bend."""
     R, bend, features = pose.R_joints, body.bend / REST_SD, np.empty((2, len(FEATURES)))
     limbs = np.concatenate([R[1:3, :, 1], -R[3:5, :, 2]])  # left and right arm, left and right thigh
     limbs[1::2] *= _MIRROR

@@ -22,8 +22,8 @@ MARGIN = np.float32(1e-5)  # of the coordinates: rounding in single precision, a
 
 
 def octant_steps(projections: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Return what a corner voxel of an octant (8 corner + octant) adds to the homogeneous pixel of the brick (N, 3,
-    64)."""
+    """Return the offsets (N, 3, 64) of an octant's corner voxels (8 corner + octant) in the brick's homogeneous
+    pixels."""
     lane = np.arange(64)
     offsets = [4 * (lane >> axis & 1) + 3 * (lane >> 3 + axis & 1) for axis in range(3)]
     return np.ascontiguousarray(projections[:, :, :3] @ np.stack(offsets).astype(float)).astype(np.float32)
@@ -140,7 +140,7 @@ def _larger(a, b):  # type: ignore[no-untyped-def]
 
 
 def voxel_steps(projections: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return what each voxel of a block adds to the homogeneous pixel of the block's first voxel (N, 3, 64)."""
+    """Return the offset (N, 3, 64) of each voxel of a block from the homogeneous pixel of the block's first voxel."""
     bit = np.arange(64)
     return np.ascontiguousarray(projections[:, :, :3] @ np.stack([bit & 3, bit >> 2 & 3, bit >> 4]).astype(float))
 

@@ -17,7 +17,7 @@ from ..views import RigViews
 
 UNSEEN, SEEN, PARTLY_SEEN = 0, 1, 2  # none, all, perhaps some of a block's voxel centres are seen by a camera
 
-ALL_SURE = 8  # what a square of 2 x 2 foreground pixels counts in a summed area
+ALL_SURE = 8  # count of a square of 2 x 2 foreground pixels in a summed area
 
 
 class BlockBoxes(NamedTuple):

@@ -1,9 +1,9 @@
 """Detects cameras whose silhouettes contradict all others, excludes them from carving, and reinstates them.
 
 Every camera can veto a voxel, so one that is covered, moved or frozen cuts the body for all. A few times a second all
-silhouettes are compared on a coarse grid (:mod:`.silhouette_residuals`). Residuals beyond what is allowed are summed up
+silhouettes are compared on a coarse grid (:mod:`.silhouette_residuals`). Residuals beyond an allowance are summed up
 for each camera (CUSUM: Page, "Continuous inspection schemes", Biometrika 1954): large faults are found at once, small
-ones when they last. An excluded camera is still compared. The constants were chosen with bench/camera_faults.py.
+ones when they last. An excluded camera is still compared.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
-PERIOD_S = 0.1  # from one comparison to the next
-ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
+PERIOD_S = 0.1  # between comparisons
+ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser, and doubles the allowance
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
 
-# what is allowed, as shares: 0 to 1
+# allowances, as shares: 0 to 1
 VETO_ALLOWANCE = 0.025  # of the body, as the others show it
 EXCESS_ALLOWANCE = 0.15  # of a camera's view, and of all foreground, that no other camera, or no hull, confirms
 NEXT_WORST = 1.5  # a faulty camera's residual is at least this many times that of the next worst
@@ -41,13 +41,13 @@ DETECTION_S = 3 * PERIOD_S  # sum at which a camera is faulty: three comparisons
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """Which cameras contradict the others. Shares are 0 to 1, running means over some seconds.
+    """The cameras that contradict the others. Shares are 0 to 1, running means over some seconds.
 
     updated : whether this frame set was compared; if not, everything else is as before.
     left_out : cameras to carve without. suspects : cameras that would be left out if enough others remained.
     reasons : a message with the remedy for each of both.
-    means : what is wrong with each camera's silhouettes; see :class:`.silhouette_residuals.CameraResiduals`.
-    warning : that the cameras not left out contradict each other and none can be blamed; empty otherwise.
+    means : residuals of each camera; see :class:`.silhouette_residuals.CameraResiduals`.
+    warning : set when the remaining cameras contradict each other and none can be blamed; empty otherwise.
     """
 
     left_out: tuple[str, ...] = ()
@@ -101,7 +101,7 @@ class CameraFaultDetector:
         return self._faults
 
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
-        """Compare one camera's residuals with what is allowed, and with the next worst camera's."""
+        """Compare one camera's residuals with the allowances, and with the next worst camera's."""
         record, mine = self._records[residuals.cameras[slot]], residuals.own[slot]
         others = (one for other, one in enumerate(residuals.own[: residuals.voters]) if other != slot)
         next_veto = max((one.veto_fraction for one in others), default=0.0)
@@ -115,7 +115,7 @@ class CameraFaultDetector:
             record.add_fault(mine, fault / SATURATION, step_s)
             return
         agrees = mine.veto_fraction <= max(lenience * VETO_ALLOWANCE, next_veto) and mine.excess <= EXCESS_ALLOWANCE / 2
-        if not agrees or mine.coverage > 0.0:  # disagreement counts twice, what shows nothing not at all
+        if not agrees or mine.coverage > 0.0:  # disagreement counts twice, an empty silhouette not at all
             record.agreed_s = max(record.agreed_s + (step_s if agrees else -2 * step_s), 0.0)
 
     def _decide(self, present: list[int]) -> CameraFaults:
@@ -155,9 +155,9 @@ class CameraFaultDetector:
 
 
 class _CameraRecord:
-    """What is known of one camera.
+    """State of one camera.
 
-    cusum_s : sum of its faults, in seconds of a large one. agreed_s : how long it has agreed since it was left out.
+    cusum_s : sum of its faults, in seconds of a large one. agreed_s : seconds of agreement since it was left out.
     mean : running mean. faulty_mean : mean since the sum was last zero.
     """
 
@@ -176,7 +176,7 @@ class _CameraRecord:
 
 
 def _reason(name: str, mean: CameraResiduals, sound: int) -> str:
-    """Say what is wrong with a camera, and what to do; ``sound`` is the number of cameras that are not faulty."""
+    """Return a camera's fault and remedy in words; ``sound`` is the number of cameras that are not faulty."""
     return (
         f"{name} contradicts the other {sound}: it vetoes {mean.veto_fraction:.0%} of the body that they agree on, and "
         f"{mean.excess:.0%} of its view is foreground that they do not confirm; is its lens covered or something in "

@@ -1,11 +1,11 @@
-"""Tells each camera where the other cameras see a body, so that what nobody else sees can become its background.
+"""Multi-view consistency of foreground: marks, for each camera, where the other cameras see a body.
 
-Things that were moved, doors and screens are foreground in one camera's picture, and no body in the others'. The
+Foreground without support, of things that were moved, doors and screens, can become background in its camera. The
 capture volume and its surroundings are divided into blocks. A block supports foreground of a camera when as many of
-the others show foreground as a hull needs (in the volume, where fewer look there: all that do), and no more than one
-denies it. Near such blocks half of the others are enough, and everywhere while there are none: a person is supported
-as long as fewer than half of the others miss a part of her. A cell of the picture can be judged when at least two
-others look at the whole stretch of its rays inside the volume.
+the others show foreground as a hull needs (in the volume, where fewer see it: all that do), and no more than one shows
+none. Near such blocks half of the others are enough, and everywhere while there are none: a person is supported while
+fewer than half of the others miss a part of the body. A cell of the picture can be judged when at least two others see
+the whole stretch of its rays inside the volume.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
 from . import EARLY
 
-# Thresholds: ARM_M from the length of an arm; else chosen with the rooms of test_hull_foreground_support.py.
-CELL_PX = 8  # a word of pixels, a divisor of every canvas's width; where camera clients look for foreground
-LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
+# Thresholds: ARM_M from the length of an arm; else judgement: no measurement beside the built rooms of
+# test_hull_foreground_support.py, in which they hold.
+CELL_PX = 8  # a word of pixels, a divisor of every canvas's width; the cells of the camera clients
+LEAST_PX = 4  # foreground pixels that make a cell foreground: noise leaves fewer
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
-ARM_M = 0.5  # bodies in the volume reach out of it by so much; parts of a body so near to certain ones are hers
-MARGIN_M = 0.15  # around what others see as a body: blocks, contact shadows
-POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others may look at: rounding at its faces
-_EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
+ARM_M = 0.5  # arm's length: a body may extend this far out of the volume; half-supported blocks this near count
+MARGIN_M = 0.15  # around supported blocks: their size, contact shadows
+POORLY_SEEN = 0.02  # tolerated share of a ray's blocks in the volume that too few others see: rounding at its faces
+_EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along a coarse one, which is tested first
 
 Cells = npt.NDArray[np.uint8]
 Tables = npt.NDArray[np.int32]
@@ -56,14 +57,14 @@ class SupportReporter:
         cells_per_m = (views.px_per_m(rig.volume) / CELL_PX).tolist()
         self._reaches = [(_disc(MARGIN_M * scale), _disc(ARM_M * scale)) for scale in cells_per_m]
         self._throttle = StampThrottle(SUPPORT_PERIOD_S, early_share=EARLY)
-        self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
+        self._trusted = 0  # bits of cameras that once agreed with others: others' empty views may be blind ones
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
 
     def update(self, masks: Masks, used: Container[str], stamp_ns: int) -> tuple[ForegroundSupport, ...]:
         """Judge one frame set's canvas masks (h, w) uint8 once a period; else return nothing.
 
-        masks : with shadows resolved, above 127 foreground; only background denies a body. used : the cameras that are
-        used; the others get a report and have no say. InputError for an unknown camera or a wrong size.
+        masks : with shadows resolved, above 127 foreground; only background denies a body. used : the cameras that
+        vote; the others only get a report. InputError for an unknown camera or a wrong size.
         """
         if self._throttle.step_s(stamp_ns) <= 0.0:
             return ()
@@ -79,19 +80,19 @@ class SupportReporter:
     def _levels(self, shown: Cells, sent: Tables, voters: int) -> Cells:
         """Return the level of every cell (N, h, w), from the cells that the voters (bits) show."""
         found = np.zeros_like(shown)
-        # bodies in the volume, and what half of the others see next to them
+        # bodies in the volume, and half-supported blocks next to them
         sure, half, agreed = self._vote(shown, sent, voters, True)
         self._trusted |= agreed
         for camera, (margin, near) in enumerate(self._reaches):
             beside = cv2.dilate(sure[camera], near) if sure[camera].any() else np.full_like(sure[camera], 1)
             found[camera] = cv2.dilate(sure[camera] | (half[camera] & beside), margin) * np.uint8(BODY)
-        # what is left of the pictures: things and people around the volume
+        # the rest of the pictures: things and people around the volume
         outside, _, _ = self._vote(np.where(found > 0, np.uint8(0), shown), sent, voters, False)
         found[(outside > 0) & (found == 0)] = OUTSIDE
         return np.where(found > 0, found, self._judgeable(voters & self._trusted))
 
     def _vote(self, shown: Cells, sent: Tables, voters: int, of_bodies: bool) -> tuple[Cells, Cells, int]:
-        """Return the cells (N, h, w), 0 or 1, that others support for certain, that half of them do, and who agrees."""
+        """Return the cells (N, h, w), 0 or 1, with certain support, with half support, and the agreeing cameras."""
         needed = min_seeing(int(popcount(np.uint64(voters))), self._requested_seeing) - 1
         votes = Votes(voters, self._trusted, needed, of_bodies)
         pictures, sure, half = Pictures(summed_area(shown), sent), np.zeros_like(shown), np.zeros_like(shown)
@@ -99,7 +100,7 @@ class SupportReporter:
         return sure, half, int(agreed)
 
     def _judgeable(self, witnesses: int) -> Cells:
-        """Return, for every cell, what it is when nothing supports it: NOBODY, UNJUDGED, or OUTSIDE the volume."""
+        """Return the level of every cell without support: NOBODY, UNJUDGED, or OUTSIDE the volume."""
         if self._judged[0] != witnesses:
             passed, poorly = (np.zeros(self._cells.seen.shape, np.int32) for _ in range(2))
             count_witnesses(self._boxes, witnesses, self._space, passed, poorly)
@@ -114,10 +115,10 @@ class SupportReporter:
 
 
 class _Space(NamedTuple):
-    """The blocks, all by their numbers along x, y and z, (3,).
+    """The grid of blocks, in numbers along x, y and z, (3,).
 
-    blocks, coarse : how many there are, of both sizes. inner : from and to, (2, 3), of the capture volume. bodies : of
-    where parts of a body in the volume may be.
+    blocks, coarse : counts of both sizes. inner : from and to, (2, 3), of the capture volume. bodies : the same widened
+    by an arm's length.
     """
 
     blocks: npt.NDArray[np.int64]
@@ -135,8 +136,8 @@ class _Space(NamedTuple):
 
 class Votes(NamedTuple):
     """voters, trusted : bits of the cameras whose foreground counts, and of those whose empty view counts, too.
-    needed : how many others have to show foreground, where so many look.
-    of_bodies : whether they vote on blocks where bodies in the volume may be, or on those around."""
+    needed : number of others that must show foreground, where as many see the block.
+    of_bodies : whether they vote on blocks within an arm's length of the volume, or on those around."""
 
     voters: int
     trusted: int
@@ -258,8 +259,8 @@ def _pooled_views(views: RigViews) -> RigViews:
 
 @kernel
 def _pool(mask_words, is_used, sent, shown):  # type: ignore[no-untyped-def]
-    """Write 255 to the cells (h, w) in which at least LEAST_PX pixels of a mask (H, W / 8) are not background: to
-    ``sent``; and in which so many are foreground: to ``shown``, if the camera is used."""
+    """Write 255 to the cells (h, w) of ``sent`` with at least LEAST_PX pixels of a mask (H, W / 8) that are not
+    background, and, if the camera is used, of ``shown`` with as many foreground pixels."""
     for row in range(sent.shape[0]):
         rows = mask_words[CELL_PX * row : CELL_PX * row + CELL_PX]
         for column in range(rows.shape[1]):
@@ -274,6 +275,6 @@ def _pool(mask_words, is_used, sent, shown):  # type: ignore[no-untyped-def]
 
 
 def _disc(cells: float) -> Cells:
-    """Return the kernel that widens by so many cells."""
+    """Return the kernel of a dilation by a radius in cells."""
     side = 2 * int(np.ceil(cells)) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)

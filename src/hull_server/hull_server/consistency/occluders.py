@@ -1,9 +1,9 @@
-"""Learns what stands between a camera and the people: where it never shows foreground although the others see a body.
+"""Learns static occluders: where a camera never shows foreground although the others see a body.
 
-A desk or a pillar is a part of the empty room, so that its camera calls a person behind it background, and cuts them
-from the hull for all. The other cameras give it away: their silhouettes are not explained without the volume that this
-one denies. What it denies by being wrong about clothes moves with the person; an occluder stays (Guan, Franco and
-Pollefeys, "3D occlusion inference from silhouette cues", CVPR 2007). Behind it the camera has no say.
+A desk or a pillar is a part of the empty room, so that its camera takes a person behind it for background, and cuts
+them from the hull for all. The other cameras' silhouettes are not explained without the volume that this one vetoes.
+Vetoes by errors on clothes move with the person; an occluder stays (Guan, Franco and Pollefeys, "3D occlusion inference
+from silhouette cues", CVPR 2007). Behind it the camera's pixels count as unseen.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ..views import Masks, RigViews
 from .silhouette_residuals import ResidualEstimator, Residuals
 
 # Thresholds: judgement; measured by python bench/rooms.py --holes.
-LEARNED_S = 1.5  # a cell that hides a body for so long, while the camera shows others of its cells, is an occluder's
-TIMES_SHOWN = 4.0  # ... and for so many times as long as it has shown anything
-MOST_S = TIMES_SHOWN * LEARNED_S  # so that what was learned is forgotten as soon when the thing is taken away
+LEARNED_S = 1.5  # an occluder's cell has hidden a body this long while the camera showed it in other cells
+TIMES_SHOWN = 4.0  # ... and this many times as long as it has shown foreground
+MOST_S = TIMES_SHOWN * LEARNED_S  # bound of the times, so that a thing that was taken away is forgotten as soon
 LEAST_CELLS = np.ones((5, 5), np.uint8)  # 0.1 m: along outlines, single voxels of the coarse grid are denied
-LEAST_EXPLAINED = 0.5  # of a camera's foreground: less fits the others' hull where a camera was moved, or sees nobody
+LEAST_EXPLAINED = 0.5  # share of a camera's foreground inside the others' hull: less if it was moved or sees nobody
 
 
 class OccluderMap:
@@ -70,8 +70,8 @@ class OccluderMap:
 
 @kernel
 def _learn(step_s, denied, cells, hiding_s, showing_s, hiding):  # type: ignore[no-untyped-def]
-    """Add a step to the times (H, W) of the cells that are denied, and that show, up to MOST_S; write 1 to ``hiding``
-    for what is an occluder's. Returns whether any is."""
+    """Add a step to the times (H, W) of the cells that hide, and that show, up to MOST_S; write 1 to ``hiding`` for an
+    occluder's cells. Returns whether there are any."""
     any_ = False
     for row in range(cells.shape[0]):
         for column in range(cells.shape[1]):

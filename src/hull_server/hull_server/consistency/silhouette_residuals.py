@@ -3,13 +3,14 @@
 Silhouettes of one body agree when the hull that they make together, seen from each camera, covers each silhouette
 (silhouette coherence: Hernandez, Schmitt and Cipolla, "Silhouette coherence for camera calibration under circular
 motion", PAMI 2007). A faulty camera removes parts of the body from the hull, and the other silhouettes are covered
-again as soon as its veto is ignored. A sound camera removes nothing but phantom volume, which hides behind and in front
-of the body in the other images. So the volume that one camera alone vetoes says little (three sound cameras veto half
-and more of each other's hulls), but the images show the difference.
+again as soon as its veto is ignored. A sound camera removes nothing but phantom volume, which lies behind and in front
+of the body in the other images. So the size of the volume that one camera alone vetoes is no measure (three sound
+cameras veto half and more of each other's hulls); the foreground that it explains in the other images is.
 
 The voters' hull and those without each of them are carved on every ``stride``-th pixel (the *cells*) of the silhouettes
-and projected back into every image: which foreground do they explain with a camera's veto, and which only without it?
-In words of bits, bit s is the camera ``cameras[s]``; the voters come first.
+and projected back into every image, to separate the foreground that they explain with a camera's veto from the
+foreground that they explain only without it. In words of bits, bit s is the camera ``cameras[s]``; the voters come
+first.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ..views import RigViews, min_seeing
 # Thresholds: measured by python bench/camera_faults.py.
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
 NEEDED_BY = 2  # cameras whose foreground stays unexplained without a voxel: one may show a thing, or noise
-SKIPPED = -1  # instead of the bits of who vetoes a voxel: it is in no hull
+SKIPPED = -1  # instead of the bits of the vetoing cameras, for a voxel that is in no hull
 
 Floats = npt.NDArray[np.float64]
 
@@ -64,7 +65,7 @@ class CameraResiduals(NamedTuple):
 class Residuals:
     """The residuals of one frame set. Arrays (n,) and lists are in the order of ``cameras``, the voters first.
 
-    cameras : indices in the rig. voters : how many of them can veto. own : of each camera.
+    cameras : indices in the rig. voters : the number of them that can veto. own : of each camera.
     body_litres : volume of the hull without a camera's veto. explained_share : of its foreground, by that hull.
     unexplained : share of the voters' foreground that their common hull leaves unexplained.
     """
@@ -91,9 +92,9 @@ class ResidualEstimator:
 
     cells (N, H, W) : of the last frame set, FOREGROUND, BACKGROUND, or UNCERTAIN, also where a camera does not see.
 
-    Cells that hulls explain are bits of words. by_hull (N, H, W / 64) : of each image, what the voters' hull explains.
-    by_own (N, N, H, W / 64) [image, camera] : of a voter, what the voxels explain that it alone vetoes; of another
-    camera, what the voters' hull explains less the voxels that it vetoes.
+    Cells that hulls explain are bits of words. by_hull (N, H, W / 64) : cells of each image that the voters' hull
+    explains. by_own (N, N, H, W / 64) [image, camera] : of a voter, cells that the voxels explain which it alone
+    vetoes; of another camera, cells that the voters' hull explains without the voxels that it vetoes.
     """
 
     def __init__(self, rig: Rig, views: RigViews, voxel_size_m: float, requested_seeing: int = 0) -> None:
@@ -148,9 +149,9 @@ class ResidualEstimator:
         return min_seeing(voters, self._requested_seeing)
 
     def denied_cells(self, residuals: Residuals, slot: int) -> npt.NDArray[np.bool_]:
-        """Return the cells (H, W) in which ``residuals.cameras[slot]`` alone denies what two others need.
+        """Return the cells (H, W) in which ``residuals.cameras[slot]`` alone vetoes volume that two others need.
 
-        Need: the volume there explains foreground of theirs that nothing else explains. The hull is that of the last
+        They need it if it explains foreground of theirs that no other volume explains. The hull is that of the last
         call of :meth:`estimate`.
         """
         cameras, denied = np.array(residuals.cameras, np.int64), np.zeros(self.cells.shape[1:], np.bool_)
@@ -197,7 +198,7 @@ def _decimated(views: RigViews, stride: int) -> RigViews:
 
 @kernel
 def sample(mask, unseen, stride, cells):  # type: ignore[no-untyped-def]
-    """Write the cells (H, W) of a mask (h, w); return how many are foreground."""
+    """Write the cells (H, W) of a mask (h, w); return the number of foreground cells."""
     found = 0
     for row in range((mask.shape[0] - stride // 2 + stride - 1) // stride):
         for column in range((mask.shape[1] - stride // 2 + stride - 1) // stride):
@@ -238,9 +239,8 @@ def _centre_level(cells, camera, own):  # type: ignore[no-untyped-def]
 def mark_explained(views, cells, cameras, voting, voxels, vetoes, by_hull, by_own, pixels):  # type: ignore[no-untyped-def]
     """Mark in every camera's cells which hulls lie behind them.
 
-    voting : how many of the cameras vote, and must show a voxel. voxels (M, 3) : those of the hulls of all voters, and
-    of all but one. vetoes (M,) : the bits of who vetoes each of them; SKIPPED where that is next to the floor. pixels
-    (n, 6) : scratch memory.
+    voting : number of cameras that vote, and must show a voxel. voxels (M, 3) : of the hulls of all voters, and of all
+    but one. vetoes (M,) : the bits of the vetoing cameras; SKIPPED next to the floor. pixels (n, 6) : scratch memory.
     """
     (voters, needed), n = voting, cameras.size
     by_voters = (1 << voters) - 1

@@ -24,8 +24,8 @@ from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
 from .ray_hull import Hull, part_near, ray_hull_interval
 
-# Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
-# chosen with bench/contour_rays.py of commit d6079d2
+# Thresholds: chosen by the rays' spread about the true surface of rendered people, and their coverage of it; python
+# bench/people.py scores the poses fitted to them.
 LEAST_RAYS = 10  # of an outline: shorter ones, of holes or specks, get none
 SIGMA_PX = 0.5  # standard deviation of a contour across itself
 SHADOW_SIGMA_PX = 4.0  # added to it, in squares, where all pixels around may be shadow; less where fewer are

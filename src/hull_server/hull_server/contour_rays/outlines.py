@@ -8,7 +8,7 @@ coordinates of the pixel to its lower right.
 
 For a straight edge, the mask blurred by a Gaussian is the normal distribution of the distance from the edge, and its
 gradient is perpendicular to the edge (the edge model of Canny, 1986). So one small window of pixels gives both place
-and normal, without blurring the image. The thresholds were chosen with bench/contour_rays.py of commit d6079d2.
+and normal, without blurring the image.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 from ..bitset import lowest_bit
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
-# Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
+# Thresholds: chosen as those of contour_tracer.py.
 RADIUS_PX, SHADOW_RADIUS_PX = 4, 2
 PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # narrow for the place (curved edges shift less), wide for the normal
 LEAST_SLOPE = 0.6  # of a straight edge's gradient: less is a corner, or a thin or torn limb
 MOST_FILLED = 0.95  # a pixel whose surroundings are filled more is not at an edge
-STRETCH = 16  # words of a row that are looked at together
+STRETCH = 16  # words of a row that are tested together
 QUANTILE_STEPS = 256
 QUANTILES = np.array(
     [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]

@@ -69,10 +69,10 @@ def widen(words, ends):  # type: ignore[no-untyped-def]
 def ray_hull_interval(hull, start, direction):  # type: ignore[no-untyped-def]
     """Find the interval in which a ray can touch the body: lengths from and to, equal where there is none.
 
-    It is that of the dilated hull. A hull of few cameras is often met more than once, by a limb and by the phantom of
-    another: the ray tells no more than that one of them is touched, so that the interval reaches over all of them that
-    belong to the same part of the hull as the longest. start (3,) and unit direction (3,) in voxels from the corner of
-    the hull's box; lengths in voxels from the start. A stretch of a single voxel may be missed.
+    It is that of the dilated hull. A ray often meets a hull of few cameras more than once, in a limb and in the phantom
+    of another, and touches one of them, so the interval spans all stretches in the same part of the hull as the
+    longest. start (3,) and unit direction (3,) in voxels from the corner of the hull's box; lengths in voxels from the
+    start. A stretch of a single voxel may be missed.
     """
     wide, (near, far) = hull.wide, _within_box(hull.size, start, direction)
     first, step = _fixed(start, direction, near + 0.5), _fixed((0.0, 0.0, 0.0), direction, 1.0)

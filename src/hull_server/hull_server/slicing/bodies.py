@@ -1,7 +1,7 @@
 """Separates bodies: measures the parts of the hull that do not touch, joins those that are one person, numbers persons.
 
-Where a camera misses a belt or a thigh, a person's hull is torn into parts that stand one above the other. Nobody
-stands on another's head, and two trunks side by side are a chest's depth apart: that tells torn parts from persons.
+Where a camera misses a belt or a thigh, a person's hull is torn into parts that stand one above the other. Different
+persons do not, and two trunks side by side are a chest's depth apart.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ class Bodies(HullParts):
 class BodyTracker:
     """Numbers bodies consistently from set to set.
 
-    Each set's bodies take the numbers of the nearest bodies before them, across the floor (whose legs a camera misses
-    is in the same place), the nearest pair first, none farther than STEP_M; the others take the lowest free
-    numbers, larger bodies first. A body that is not seen keeps its place and number for GONE_AFTER_S.
+    Each set's bodies get the numbers of the nearest bodies of the set before, by distance across the floor (legs may be
+    missing), the nearest pair first, none farther than STEP_M; the others get the lowest free numbers, larger bodies
+    first. A body that is not seen keeps its place and number for GONE_AFTER_S.
 
     Two people who touch are one part of the hull, thus one body with one of their numbers. When they part, each gets
-    the nearest number: the hull alone cannot tell them apart.
+    the nearest number: the hull alone does not identify them.
     """
 
     def __init__(self, settings: BodySettings) -> None:

@@ -23,11 +23,8 @@ from .voxel_runs import HullRuns, brick_box, find_runs, join_in_slices, join_in_
 
 GROWTH_STEP_M = 0.02  # least distance of the slices that a blob's growth compares; at least a voxel
 
-# Thresholds: fitted by maximum likelihood: chosen with centerline.py among the benches of commit d6079d2 (its column
-# "ratio").
-
-# noise model of a centerline point, fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py of
-# commit d6079d2)
+# Thresholds: noise model of a centerline point, fitted by maximum likelihood to the points' distances from the sticks
+# in hulls of the studio's body, as the former bench of the centerline did; no bench repeats the fit.
 SIGMA_BASE_M = 0.001
 SIGMA_PER_RADIUS = 0.050
 SIGMA_PER_MISSING_FILL_M = 0.050
@@ -45,7 +42,7 @@ class BlobTable(NamedTuple):
         ascending order.
     growth : (n,) area of the blob found straight above or below the centroid, a step along ``axis``, over the blob's
         own; the larger of the two, inf where there is none.
-    part : (n,) int32, the part of the hull that the blob belongs to; see :class:`hull_server.slicing.bodies.Parts`.
+    part : (n,) int32, the part of the hull that the blob belongs to; see :class:`hull_server.slicing.bodies.HullParts`.
     """
 
     axis: npt.NDArray[np.uint8]

@@ -1,1 +1,1 @@
-"""Calibration targets: what they look like, and where an image shows their corners."""
+"""Calibration targets: their drawing, and detection of their corners in images."""

@@ -1,4 +1,4 @@
-"""The calibration boards, plain checkerboards and ChArUco boards, and what one image shows of a target.
+"""The calibration boards, plain checkerboards and ChArUco boards, and detections of a target in one image.
 
 Board frame: seen from in front, x to the right along the rows of the print, y up, z out of the print towards the
 viewer (so z is up when the board lies on the floor); origin at the first corner, the upper left one; metres.
@@ -87,11 +87,11 @@ def _grid(columns: int, rows: int, field_m: tuple[float, float]) -> Array:
 class TargetDetection:
     """Corners of a target found in one image of one camera.
 
-    camera : the camera's name. frame : which frame (what several cameras show in the same frame is in the same
-    place). target : which of several targets, "" when there is only one. ids (n,) : which corners, rows of the
-    target's ``corners_board``. pixels (n, 2) : where, in the raw (distorted) image; pixel centres at whole numbers.
-    image_size : (width, height), px. sigma_px : standard deviation of a corner's coordinate, as far as it is known.
-    blur_px : that of the blur across the board's edges, 0 where it was not measured.
+    camera : the camera's name. frame : its number (in the same frame of several cameras a target is in the same place).
+    target : name of the target, "" when there is only one. ids (n,) : rows of the target's ``corners_board``. pixels
+    (n, 2) : in the raw (distorted) image; pixel centres at whole numbers. image_size : (width, height), px. sigma_px :
+    standard deviation of a corner's coordinate, as far as it is known. blur_px : that of the blur across the board's
+    edges, 0 where it was not measured.
     """
 
     camera: str

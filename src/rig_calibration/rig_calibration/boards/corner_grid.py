@@ -26,7 +26,7 @@ def steps(pixels: Array) -> tuple[Array, Array]:
 
 def predict(pixels: Array) -> Array:
     """Predict the unknown corners from the known ones in the same row and column, (rows, columns, 2): the mean between
-    two neighbours where both are known, else extrapolated from up to three on one side; NaN where nothing tells."""
+    two neighbours where both are known, else extrapolated from up to three on one side; NaN where that fails."""
     guesses = []
     for axis in (0, 1):
         before = [_shifted(pixels, k, axis) for k in (1, 2, 3)]
@@ -38,7 +38,7 @@ def predict(pixels: Array) -> Array:
 
 
 def mean_of_known(arrays: list[Array]) -> Array:
-    """Average element by element what is not NaN; NaN where all are."""
+    """Average element by element, ignoring NaN; NaN where all are."""
     values = np.stack(arrays)
     known = ~np.isnan(values)
     with np.errstate(invalid="ignore"):  # a thread's own, as numpy.nanmean's warning of a mean of nothing is not
@@ -113,7 +113,7 @@ class CornerGrid:
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of a coordinate, as the fits' residuals say."""
+        """Standard deviation of a coordinate, by the fits' residuals."""
         return float(np.sqrt(np.nanmean(self.values[:, :, 3] ** 2)))
 
     @property
@@ -139,7 +139,7 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
     near = np.linalg.norm(corners[:, :2] - places, axis=1) < np.maximum(HALF * side, 1.0)
     values, kept = known.values.copy(), known.found
     values[wanted], kept[wanted] = corners, explained & near
-    # colours change from corner to corner; the majority says which way round
+    # colours change from corner to corner; the majority decides which way round
     signs = np.where(kept, np.sign(values[:, :, 2]) * parity(kept.shape), 0)
     values[signs * (1.0 if signs.sum() >= 0 else -1.0) <= 0] = np.nan
     return CornerGrid(values)
@@ -152,9 +152,9 @@ def grown(image: npt.NDArray[np.uint8], grid: CornerGrid, marker_margin: float =
 
 
 def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:
-    """Cut off the outer lines that a grid has too many: a thumb at the board's edge looks like some more fields.
+    """Cut off surplus outer lines of a grid: a thumb at the board's edge resembles further fields.
 
-    None when it is smaller than ``rows`` x ``columns``, or when the lines too many are nearly complete.
+    None when it is smaller than ``rows`` x ``columns``, or when the surplus lines are nearly complete.
     """
     values = grid.values
     for axis, wanted in enumerate((rows, columns)):

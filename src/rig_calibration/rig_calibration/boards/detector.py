@@ -1,7 +1,7 @@
-"""Finds a calibration board in one image, or says what is seen instead.
+"""Finds a calibration board in one image, or names what the image shows instead.
 
 A checkerboard is a lattice of corners: refined, completed and put into the board's order. Of a ChArUco board the
-markers say which corners are seen, and the fits of the corners where they are.
+markers identify the corners, and fits of the corners give their places.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ def complete(
 
 
 def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:
-    """Read the grid as (board.rows, board.columns) with the first corner first; None when its size is another.
+    """Read the grid as (board.rows, board.columns) with the first corner first; None when its size differs.
 
     A board whose half turn is visible is laid so that the field up-left of the first corner is black; the others so
-    that their rows run to the right in the image (which half turn is meant, one view does not tell).
+    that their rows run to the right in the image (one view does not show which half turn is right).
     """
     cut = (cut_to(turned(grid, turn), board.rows, board.columns) for turn in range(4))
     choices = [choice for choice in cut if choice is not None]
@@ -121,8 +121,8 @@ def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tu
 
 
 def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
-    """The whole board where its markers are too small or too blurred to be read, but its fields are seen; only of
-    boards that look different when they are turned by half."""
+    """Find the whole board by its fields, where markers are too small or blurred; only of boards whose half turn is
+    visible."""
     plain = Checkerboard(board.columns - 1, board.rows - 1, (board.square_m, board.square_m))
     if not plain.half_turn_is_visible:
         return None
@@ -157,8 +157,8 @@ class FlatBoard:
 
 
 def fit_grid(image: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], corners: Array) -> CornerGrid:
-    """Fit corners where a flat board with the corners ``ids`` has them; expect the others from those found, until
-    nothing is added."""
+    """Fit corners where a flat board with the corners ``ids`` has them, then those predicted from the found ones, until
+    none is added."""
     grid, expected = empty_grid(*view.shape), view.corners(ids, corners)
     for _ in range(ROUNDS):
         before = grid.count
@@ -189,7 +189,7 @@ def find_board(
     """Find the board's corners in an image (H, W) or (H, W, 3) BGR uint8; None when they are not found.
 
     Of a checkerboard the whole width and height must be seen (a hand may cover some corners); of a ChArUco board any
-    part. ``thorough`` looks longer: for small, dim and blurred boards, and for boards on the floor at a grazing angle.
+    part. ``thorough`` also searches for small, dim and blurred boards, and for boards on the floor at a grazing angle.
     The order of the ids follows the board's colours or markers; where a half turn is not visible (see
     ``Checkerboard.half_turn_is_visible``), rows are taken to run to the right in the image.
     """
@@ -242,8 +242,8 @@ def find_from_outer_corners(
     target: str = "",
 ) -> TargetDetection:
     """Find the board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, up to 6 pixels or half a field
-    off: in any order where the board's colours tell which way round it lies; else in the print's reading order: first,
-    end of the first row, last, start of the last row.
+    off: in any order if the board's half turn is visible, else in the print's reading order: first, end of the first
+    row, last, start of the last row.
 
     The detection holds the corners that the image shows, to a part of a pixel. InputError when there is no such board.
     """
@@ -291,8 +291,8 @@ MIN_MARKERS = 3
 
 
 def diagnose_board(image: npt.NDArray[np.uint8], board: Board) -> str | None:
-    """Say in one clause what an image (H, W[, 3]) shows instead of the board: markers, or a checkerboard of another
-    size; None when the board is found, or there is nothing to say."""
+    """Name in one clause what an image (H, W[, 3]) shows instead of the board: markers, or a checkerboard of another
+    size; None when the board is found, or nothing like it."""
     if find_board(image, board) is not None:
         return None
     grey = as_grey(image)

@@ -22,13 +22,13 @@ from capture_rig.lens import Array
 
 from .board import METRES, Board, CharucoBoard, board_text, opencv_board
 
-if TYPE_CHECKING:  # matplotlib takes a second to load
+if TYPE_CHECKING:  # matplotlib loads in a second
     from matplotlib.figure import Figure
 
 Pair = tuple[float, float]
 Rectangle = tuple[float, float, float, float]  # left, top, width, height, metres, y down from the print's upper left
 PAPER_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "A1": (594.0, 841.0), "A0": (841, 1189)}
-MARGIN_MM, FOOT_MM = 10, 14  # what printers leave white; for ruler and text
+MARGIN_MM, FOOT_MM = 10, 14  # unprintable margin; room for ruler and text
 RULER_MM, HAIR_MM, MARK_MM = 100, 0.2, 5
 MAX_PAGES = 64
 
@@ -85,7 +85,7 @@ def draw_board(board: Board, pixels_per_m: float, margin_m: float | None = None)
 
 
 def _coverage(size: int, low: float, high: float) -> Array:
-    """Return how much of each of ``size`` pixels lies within [low, high]."""
+    """Return the share of each of ``size`` pixels within [low, high]."""
     edge = np.arange(size)
     return (np.minimum(edge + 1, high) - np.maximum(edge, low)).clip(0, 1)
 
@@ -171,7 +171,7 @@ def _pages_needed(size: Pair, paper_mm: Pair) -> tuple[int, int]:
 
 
 def _page(black: Array, low: Pair, tile: Pair, paper_mm: Pair, title: str, marks: bool) -> Figure:
-    """Draw what lies within ``tile`` from ``low`` on, in the middle of a page."""
+    """Draw the part of the board within ``tile`` from ``low`` on, in the middle of a page."""
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline

@@ -20,7 +20,7 @@ from capture_rig.lens import Array
 
 MAX_SADDLES = 3000
 HALF = 0.5
-"""Nearer to what is looked for than to something else: of a field, of the variance of a window, of the step between
+"""Tolerance, half way to the nearest wrong answer: of a field, of the variance of a window, of the step between
 neighbouring quadrants, of the sine between an edge and the way to a neighbour."""
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_STRENGTH = 0.02  # of the response of the image's 20th strongest saddle
@@ -184,7 +184,7 @@ def _walk(links: npt.NDArray[np.int64]) -> list[dict[int, tuple[int, int]]]:
 
 
 def _walk_from(seed: int, links: npt.NDArray[np.int64], seen: set[int]) -> dict[int, tuple[int, int]]:
-    """Breadth first; a place that is taken already, or reached differently, is left as it was first found.
+    """Grow the grid breadth first; the first saddle at a place stays.
 
     ``heading``: the quarter turn by which a saddle's slots are turned against the grid's axes.
     """
@@ -216,7 +216,7 @@ def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Array:
     return pixels
 
 
-# --- The image scaled in one or both directions: the detector looks for patterns of a certain size.
+# --- The image scaled in one or both directions: the detector finds patterns of a certain size.
 
 
 OWN_BLUR_PX = 0.6  # of an ordinary image: optics and pixel
@@ -260,7 +260,7 @@ class Variant:
 
 def variants_for(shape: tuple[int, ...], thorough: bool) -> tuple[Variant, ...]:
     """Choose the variants to search, in order: large images made smaller first; ``thorough`` adds enlarged and
-    stretched ones, in which small boards and boards at a grazing angle look like ordinary ones. All of them stay below
+    stretched ones, in which small boards and boards at a grazing angle have ordinary sizes. All of them stay below
     ``MAX_PIXELS``."""
     long_side = max(shape[:2])
     scale = COMFORTABLE_PX / long_side if long_side > 1.2 * COMFORTABLE_PX else 1.0

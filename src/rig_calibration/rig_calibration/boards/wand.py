@@ -1,12 +1,12 @@
-"""A wand of bright markers on a line, at known distances: what one image shows of it.
+"""A wand of bright markers on a line, at known distances: its detection in one image.
 
 Its detections go to :func:`.solve.solve_rig` beside those of boards, or alone:
 
     solve_rig(cameras, detections, {WAND: wand_points(marks_m)}, alike={WAND} if wand_looks_alike(marks_m) else ())
 
 Markers on a line at positions s_i appear on a line of the image at u_i = (a s_i + b) / (c s_i + 1): with four or more
-the cross ratio tells whether spots are a wand, with three the spacing does, because the far end of a wand of that
-length cannot be much farther away than the near end: z_far / z_near = 1 + c (s_far - s_near), from s_near counted.
+the cross ratio identifies a wand, with three the spacing does, because the far end of a wand of that length cannot be
+much farther away than the near end: z_far / z_near = 1 + c (s_far - s_near), s counted from s_near.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from .board import TargetDetection
 Grey = npt.NDArray[np.uint8]
 
 WAND = "wand"
-MIN_ASYMMETRY = 0.15  # of the wand's length: markers that differ by less from their mirror image do not tell the ends
+MIN_ASYMMETRY = 0.15  # of the wand's length: least difference from the mirror image by which ends are distinguished
 MAX_BLOBS = 10
 # Thresholds: judgement, no measurement.
 OFF_PLACE = 0.02  # of the wand's length in the image: a spot farther from its place, along or beside, is no marker
 MIN_MARK_DISTANCE = 2 * OFF_PLACE  # of the wand's length: nearer, a spot might be either
 MAX_DEPTH_RATIO = 1.6  # far end over near end, in distance: a wand seen from less than twice its length away is refused
-MIN_CONTRAST = 30  # grey levels of a marker's peak above what surrounds it
-PEAK_SHARE = 0.4  # of the brightest marker: what is brighter than that belongs to a marker
+MIN_CONTRAST = 30  # grey levels of a marker's peak above its surroundings
+PEAK_SHARE = 0.4  # of the brightest marker: threshold of markers
 MIN_AREA_PX, MAX_AREA_SHARE = 2, 0.01  # of the image
 MAX_ELONGATION = 4  # length over width: a longer streak is a reflection or moved while exposed
 RIM_PX = 2  # around the thresholded blob, whose soft edge counts too
@@ -105,7 +105,7 @@ def _marks(marks_m: Sequence[float]) -> Array:
 
 
 def label_markers(points: Array, marks_m: Array) -> Array | None:
-    """Rows of ``points`` (n, 2), undistorted, brightest first, that are the markers at ``marks_m`` (k,), in that order.
+    """Return the rows of ``points`` (n, 2), undistorted, brightest first, of the markers at ``marks_m`` (k,), in order.
 
     None when no k of them can be the wand. Of a wand that looks the same from both ends, either order.
     """
@@ -123,7 +123,7 @@ def label_markers(points: Array, marks_m: Array) -> Array | None:
 
 
 def _on_a_line(points: Array) -> Array | None:
-    """Return (k,) places along the line through the points; None when they lie on none, or coincide."""
+    """Return the places (k,) along the line through the points; None when they are not collinear, or coincide."""
     centred = points - points.mean(0)
     _, _, axes = np.linalg.svd(centred, full_matrices=True)
     along, across = centred @ axes[0], centred @ axes[1]
@@ -132,7 +132,7 @@ def _on_a_line(points: Array) -> Array | None:
 
 
 def _cost(u: Array, marks_m: Array) -> float:
-    """Return how unlike a wand spots are: misfit of their places, and depth implied; infinite when they are none.
+    """Return the misfit of spots and wand: of their places, with the implied depth; infinite for impossible ones.
 
     Both ``u`` and ``marks_m`` rise.
     """
@@ -156,9 +156,8 @@ def find_blobs(image: np.ndarray, background: np.ndarray | None = None) -> Array
     """Find compact spots in an image (H, W[, 3]) uint8 that are brighter than their surroundings: their centroids
     (n, 2), pixel centres at whole numbers, brightest first.
 
-    ``background``: the same view without the wand; without it, what is larger than a marker is taken for background.
-    Centroids are weighted by how much of a pixel the marker covers. Raises InputError when ``background`` is of another
-    size.
+    ``background``: the same view without the wand; if missing, spots larger than a marker are background. Centroids are
+    weighted by the marker's coverage of each pixel. Raises InputError when ``background`` is of another size.
     """
     grey = _grey(image)
     bright = _above(grey, None if background is None else _grey(background))
@@ -183,7 +182,7 @@ def _grey(image: np.ndarray) -> Grey:
 
 
 def _above(grey: Grey, background: Grey | None) -> npt.NDArray[np.float32]:
-    """Return how much brighter than the surroundings, grey levels, noise of the surroundings taken off."""
+    """Return the brightness above the surroundings, grey levels, less the surroundings' noise."""
     behind = background
     if behind is None:
         side = 2 * (max(grey.shape) // 50) + 1
@@ -207,10 +206,10 @@ def _with_rim(mask: Grey) -> Grey:
 def _measure(
     grey: Grey, bright: npt.NDArray[np.float32], lit: Grey, blob: npt.NDArray[np.bool_], box: np.ndarray
 ) -> tuple[float, float, float]:
-    """Centroid and brightness of a blob; ``lit`` marks all blobs and their rims.
+    """Return centroid and brightness of a blob; ``lit`` marks all blobs and their rims.
 
-    What lies behind the marker is painted in from around it, and the pixels' coverage follows from that: a dark stick
-    on one side of a ball before a brighter wall would otherwise shift it by 0.03 px, and make a wand 0.1 % too long.
+    The background behind the marker is inpainted from around it, which gives the pixels' coverage: a dark stick on one
+    side of a ball before a brighter wall would otherwise shift it by 0.03 px, and make a wand 0.1 % too long.
     """
     x, y, width, height = (int(v) for v in box[:4])
     margin = RIM_PX + 4

@@ -1,4 +1,4 @@
-"""Fits the image of a checkerboard's corner: where two straight edges cross, how blurred each is, how sure all that is.
+"""Fits the image of a checkerboard's corner: the crossing of two straight edges, the blur of each, and uncertainties.
 
 The image near a corner is modelled as a plane of light plus the product of two blurred edges (error functions). The
 model is symmetric about the corner like the image itself, so neither blur nor thick ink shifts the estimate, and the
@@ -28,7 +28,7 @@ from .lattice import HALF
 ROUNDING_VARIANCE = 1 / 12  # of a pixel's own width, px^2, and of rounding to whole grey levels
 REACH = 0.7  # of a field, on each side of the corner
 MAX_HALF_WINDOW_PX = 12
-WINDOWS = 2  # so often the window may be laid anew around the estimate
+WINDOWS = 2  # number of times that the window may be re-centred on the estimate
 SIZE = 10
 X, Y, ALONG_ROW, ALONG_COLUMN, LOG_BLUR_U, LOG_BLUR_V, CONTRAST, LIGHT, LIGHT_X, LIGHT_Y = range(SIZE)
 PRIOR_PRECISION = np.array([0, 0, 1 / 0.2**2, 1 / 0.2**2, 1 / 0.7**2, 1 / 0.7**2, 0, 0, 0, 0])
@@ -70,8 +70,8 @@ def select_pixels(image, x, y, row_step, column_step, margin, pixels):
 
 @njit(cache=True)
 def _without_markers(pixels, count, margin, across, down):
-    """Drop the inside of the two white quadrants, and what the blur takes from markers: white are those whose rim is
-    brighter. ``across``, ``down``: of a field, px between its sides."""
+    """Drop the inside of the two white quadrants, those with the brighter rim, where markers may be, with their blur.
+    ``across``, ``down``: of a field, px between its sides."""
     clear = margin - MARKER_BLUR_PX / min(across, down)
     clear = max(clear, 0.4 * margin)
     total, number = np.zeros(2), np.zeros(2)

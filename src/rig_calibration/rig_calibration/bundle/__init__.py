@@ -1,1 +1,1 @@
-"""The solver of the rig: poses of cameras and targets from what many cameras saw of targets of known size."""
+"""The solver of the rig: poses of cameras and targets from detections of targets of known size in many cameras."""

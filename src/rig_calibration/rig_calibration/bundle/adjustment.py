@@ -3,10 +3,10 @@
     minimise over cameras, poses [scales, lenses, warps]  sum rho(|pixel - predicted| / sigma)  [+ |shared - prior|^2]
 
 with rho Huber's loss at 3 standard deviations, by Levenberg-Marquardt with iteratively reweighted least squares. The
-scale of sigma is estimated from the residuals themselves (their median), because what detectors and lenses really do
-is not known beforehand. Every corner depends on what is shared (cameras, lenses, targets: tens of unknowns) and on one
-pose of one target (hundreds of poses, six unknowns each, none of which meets another), so that poses are eliminated:
-with U, V and W the blocks of J^T J by shared, by pose and mixed,
+scale of sigma is estimated from the residuals themselves (their median), because the errors of detectors and lenses are
+not known beforehand. Every corner depends on shared unknowns (cameras, lenses, targets: tens of them) and on one pose
+of one target (hundreds of poses, six unknowns each, not coupled to each other), so that poses are eliminated: with U, V
+and W the blocks of J^T J by shared, by pose and mixed,
 (U - sum W V^-1 W^T) d_shared = g_shared - sum W V^-1 g_pose  (Schur complement; Triggs et al. 2000, section 6.1).
 """
 
@@ -115,8 +115,8 @@ def _cost(state: BundleState, seen: Observations, prior: Prior) -> float:
 
 
 class NormalEquations(NamedTuple):
-    """By pose, U (m, d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (m, d), g_poses (m, 6); what is
-    known of the shared unknowns beforehand: prior_U (d, d), prior_g (d,)."""
+    """By pose, U (m, d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (m, d), g_poses (m, 6); the prior of
+    the shared unknowns: prior_U (d, d), prior_g (d,)."""
 
     U: Array
     W: Array
@@ -178,6 +178,6 @@ def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tupl
 
 
 def shared_of(state: BundleState) -> Array:
-    """Lenses, scales and warps as laid out, zeros for the poses of cameras (no prior speaks of those)."""
+    """Return lenses, scales and warps as laid out, with zeros for the poses of cameras, which have no prior."""
     by_camera = np.hstack([np.zeros((len(state.lens), POSE)), state.lens])
     return np.concatenate([by_camera.ravel(), np.column_stack([state.scale, state.board_warp]).ravel()])

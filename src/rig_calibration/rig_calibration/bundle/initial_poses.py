@@ -1,8 +1,8 @@
 """Steps 2 and 3: which cameras are tied together, and first poses of all cameras and targets.
 
 Two cameras are tied when both see the same target in the same frame. Every frame allows several relative poses of the
-two: two planar solutions in each camera, times the turns that hide. The right ones agree from frame to frame, the wrong
-ones scatter: the candidate wins that most frames support. Such pairs are chained along the best supported ones (a
+two: two planar solutions in each camera, times the invisible half turns. The right ones agree from frame to frame, the
+wrong ones scatter: the candidate wins that most frames support. Such pairs are chained along the best supported ones (a
 maximum spanning tree from the best seen camera). Then the views vote likewise for the pose of each target in each
 frame, and for the way round it lies.
 
@@ -32,7 +32,7 @@ from ..boards.board import TargetDetection
 from .problem import LINE, DetectionPoses, PoseKey, TargetView
 
 # Thresholds: judgement, no measurement.
-TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
+TOLERANCE = 0.05  # of the rotation by one board, rad, and of the board's distance
 
 
 def groups_of(cameras: Iterable[str], pairs: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
@@ -47,8 +47,7 @@ def groups_of(cameras: Iterable[str], pairs: Iterable[tuple[str, str]]) -> list[
 
 
 def common_frames(detections: Sequence[TargetDetection]) -> dict[tuple[str, str], int]:
-    """Count how many poses of targets each pair of cameras (in name order) shares; pairs that share none are left
-    out."""
+    """Count the poses of targets that each pair of cameras (in name order) shares, without pairs that share none."""
     counts = Counter(pair for seen in cameras_by_pose(detections).values() for pair in combinations(sorted(seen), 2))
     return dict(sorted(counts.items()))
 
@@ -66,7 +65,7 @@ def require_connected(
 ) -> None:
     """Raise InputError naming cameras that see no target, or the groups of cameras that share no view.
 
-    ``lost`` tells, by camera, why detections that would have linked it were left out.
+    ``lost`` : by camera, why detections that would have linked it were left out.
     """
     names, reasons = sorted(cameras), lost or {}
     blind = sorted(set(names) - {detection.camera for detection in detections})
@@ -89,7 +88,7 @@ def require_connected(
 
 
 class RelativePose(NamedTuple):
-    """``T_b_a`` (4, 4) maps coordinates in camera a to camera b; ``support``: how many frames it is worth."""
+    """``T_b_a`` (4, 4) maps coordinates in camera a to camera b; ``support``: number of frames that agree."""
 
     T_b_a: Array
     support: float
@@ -168,7 +167,7 @@ def poses_along_spanning_tree(
 
 
 def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
-    """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
+    """Find the pose of camera b relative to a from targets in the same frames: pairs (poses in a, poses in b)."""
     observed = []
     for a, b in common:
         own = a.way == 0  # only the turn of one against the other matters
@@ -179,7 +178,7 @@ def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> R
 
 
 def _vote(seen: Sequence[tuple[TargetView, Array]]) -> tuple[Array | None, list[int]]:
-    """Return the pose of a target in a frame that its views agree on best, and which way round each view shows it."""
+    """Return the pose of a target in a frame that its views agree on best, and the way round in each view."""
     observed = []
     for view, T_camera_root in seen:
         if (poses := view.poses) is not None:
@@ -219,7 +218,7 @@ def _consensus(observed: Sequence[_Allowed]) -> tuple[Array, float, list[int]]:
 
 # --- Wands.
 
-MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
+MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels go undetected
 INLIER_PX, CONFIDENCE = 3.0, 0.9999
 Pair = tuple[Array, Array, Array]  # a wand in a frame: its markers' ideal points (k, 2) in a and b, positions (k, 3)
 
@@ -229,7 +228,7 @@ def relative_pose_of_line(
 ) -> RelativePose | None:
     """Find the pose of camera b relative to a from wands that both saw in the same frames; None when there are too few.
 
-    Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
+    Where a wand's ends are not distinguished, each frame's numbering in b is tried both ways round.
     """
     ways = range(len(common[0][0].shape.ways)) if common else ()
     choices = [[(u.ideal, _turned(v.ideal, way), u.shape.points) for way in ways] for u, v in common]
@@ -249,7 +248,7 @@ def relative_pose_of_line(
 def line_pose(seen: Sequence[tuple[TargetView, Array]]) -> tuple[Array | None, list[int]]:
     """Find the pose of a wand in one frame by triangulation, and the way round that each view shows it.
 
-    ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views tell it.
+    ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views determine it.
     """
     best: tuple[float, Array | None, list[int]] = (np.inf, None, [0] * len(seen))
     if len(seen) < 2:
@@ -298,7 +297,7 @@ def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Arra
 
 
 def _fit_line(seen: Sequence[tuple[TargetView, Array]], ways: Sequence[int]) -> tuple[Array | None, float]:
-    """The wand's pose, and how far (share of the distance) its markers are seen from it."""
+    """Return the wand's pose, and the markers' misfit as a share of the distance."""
     model, places = seen[0][0].shape.points, [T for _, T in seen]
     shown = [_turned(view.ideal, way) for (view, _), way in zip(seen, ways, strict=True)]
     points = np.array([_triangulate(marker, places) for marker in zip(*shown, strict=True)], float)

@@ -1,7 +1,7 @@
-"""What the solver is given, checked and put in order: cameras, rigid targets, detections.
+"""The solver's input, checked and sorted: cameras, rigid targets, detections.
 
-A target is a set of points about their centroid. What a picture does not show of it is part of its shape: whether half
-a turn maps the points onto themselves, and, of a board, how far its middle stands out of its plane.
+A target is a set of points about their centroid. Its shape includes its ambiguities: whether half a turn maps the
+points onto themselves, and, of a board, the warp of its middle out of its plane.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ THIN = 0.02  # of the target's length: points that spread less across lie, in ef
 class TargetShape:
     """Points (n, 3) of a rigid, flat target about their ``centroid`` (3,), metres, target frame.
 
-    ``dimension`` is LINE or PLANE. ``bend`` (n, 2): how far a corner stands out along z where the middle does
-    by one metre, for a sheet that is bent along x and along y. ``ways`` (1 or 2, 3, 3): the identity and, where it maps
-    the points onto themselves in reverse order, half a turn: the ways round that a picture does not tell apart.
+    ``dimension`` is LINE or PLANE. ``bend`` (n, 2): offset of each corner along z per metre of the middle's, for a
+    sheet that is bent along x and along y. ``ways`` (1 or 2, 3, 3): the identity and, where it maps the points onto
+    themselves in reverse order, half a turn: the ways round that a picture does not distinguish.
     """
 
     name: str
@@ -133,7 +133,7 @@ class DetectionPoses:
 
     @property
     def weight(self) -> Array:
-        """(h,) how well each fits beside the best one, 1 to 0."""
+        """(h,) likelihood of each over that of the best one, 1 to 0."""
         return (self.rms_px.min() / self.rms_px) ** 2
 
 

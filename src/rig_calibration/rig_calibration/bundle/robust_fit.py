@@ -1,14 +1,14 @@
-"""Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again.
+"""Steps 4 and 5 together: adjust, reject contradicting detections, adjust again.
 
 A wrong order of corners, a target that moved between the exposures, corners found on something else: of three or more
 cameras that saw the target, the one farthest off is left out; of two, both. Sizes of targets are free beside that of
 the target seen most, with a prior, as are lenses that are to be refined: a size that is given wrongly would contradict
 everything else.
 
-Least squares would believe the many corners of a target that moved between two exposures far too much, above all across
-the line of sight, where a single picture tells a target's place to a fraction of a millimetre. So each detection is
-allowed a displacement of its own, unknown but for its standard deviation tau (m): the one with which the cameras
-contradict one another no more than noise does (Paule & Mandel 1982):
+Least squares would weigh the many corners of a target that moved between two exposures far too much, above all across
+the line of sight, where a single picture measures a target's place to a fraction of a millimetre. So each detection is
+allowed a displacement of its own, unknown but for its standard deviation tau (m), at which the contradictions between
+cameras equal those of noise (Paule & Mandel 1982):
 
     covariance of a detection's residuals = I + tau^2 A A^T,    A: derivatives by the target's position
 """
@@ -49,9 +49,9 @@ CONTRADICTS = "contradicts the others' views in that frame (wrong corners, or mo
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
 SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
-CLEAR_SDS = 5.0  # beyond so many standard deviations something is wrong, not imprecise
-WORST_FIRST = 0.7  # of the worst: what is left out in one round
-HARMLESS_PX = 0.3  # lenses that are not quite right and delays may do so much
+CLEAR_SDS = 5.0  # standard deviations beyond which something is wrong, not imprecise
+WORST_FIRST = 0.7  # of the worst: detections beyond this are left out in one round
+HARMLESS_PX = 0.3  # residual from slightly wrong lenses and delays
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +64,11 @@ class RejectedDetection:
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """The state of the solver: all detections, which of them still take part (``rows``), and the adjusted state.
+    """The state of the solver: all detections, those in use (``rows``), and the adjusted state.
 
-    ``seen`` holds the observations of all detections, whose standard deviations are ``scale`` times those given;
-    ``prior`` what is known of sizes, lenses and warps: those of which it says something are adjusted, the others are
-    held; ``displacement_m``, how far (sd) the target may have been elsewhere for each detection.
+    ``seen`` : observations of all detections, whose standard deviations are ``scale`` times those given. ``prior`` : of
+    sizes, lenses and warps; those with one are adjusted, the others are held. ``displacement_m`` : standard deviation
+    of the target's displacement for each detection.
     """
 
     problem: Problem
@@ -137,7 +137,7 @@ def start_fit(problem: Problem, views: Sequence[TargetView], initial: InitialPos
 
 
 def settled(fit: RobustFit) -> RobustFit:
-    """Adjust and leave out what contradicts the rest, until nothing does; then allow targets to have moved between the
+    """Adjust and reject contradicting detections until there are none; then estimate the targets' motion between the
     cameras' exposures."""
     fit = adjusted(fit)
     for _ in range(ROUNDS):
@@ -176,11 +176,11 @@ def _first_state(problem: Problem, initial: InitialPoses) -> BundleState:
 def _contradictions(fit: RobustFit) -> list[tuple[int, str]]:
     """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
     seen = fit.used
-    # the median residual of each over what is to be expected: about 1 when all is well
+    # the median residual of each over the expected one: about 1 when all is well
     lengths = np.where(seen.weight > 0, normalised_lengths(fit.state, seen) / fit.scale, np.nan)
     misfit = np.nanmedian(lengths, axis=1) / RAYLEIGH_MEDIAN
     sigma_px = fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
-    # lesser ones may only follow from the worst
+    # lesser ones may only be effects of the worst
     limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
     found: list[tuple[int, str]] = []
     for pose in np.unique(seen.pose[(misfit > limit) & (misfit * sigma_px * RAYLEIGH_MEDIAN > HARMLESS_PX)]):
@@ -192,7 +192,7 @@ def _contradictions(fit: RobustFit) -> list[tuple[int, str]]:
     return sorted(found)
 
 
-# --- Detections that are believed less than their corners claim.
+# --- Detections with a displacement beside their corners' noise.
 
 
 def _with_displacement(fit: RobustFit) -> RobustFit:
@@ -212,7 +212,7 @@ def _with_displacement(fit: RobustFit) -> RobustFit:
 def displacement_of(linear: LinearisedRows, poses: Ints, shared: int, corners: int) -> float:
     """Estimate the displacement (sd, m) of detections; 0 where noise explains as much.
 
-    ``poses`` (s,): the pose of each; ``shared``: free shared unknowns; ``corners``: how many there are.
+    ``poses`` (s,): the pose of each; ``shared``: free shared unknowns; ``corners``: their number.
     """
     A = linear.by_pose[:, :, POSITION]
     values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)

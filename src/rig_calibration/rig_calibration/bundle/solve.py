@@ -24,24 +24,22 @@ from .state import Bools, BundleState, camera_with, residuals_px
 
 @dataclass(frozen=True, eq=False)
 class RigSolution:
-    """The poses of all cameras and targets, in the frame of the reference, and how good they are.
+    """The poses of all cameras and targets, in the frame of the reference, with their quality.
 
     cameras : the cameras, with these poses as their ``T_camera_world`` (and refined lenses, if asked for).
     T_reference_target : (4, 4) by (target, frame).
-    detections, residuals_px : what was used, ids as they proved right, and seen minus predicted pixels (n, 2) of each.
+    detections, residuals_px : those used, with corrected ids, and seen minus predicted pixels (n, 2) of each.
     rms_px : by camera, root mean square distance of its corners (sqrt(2) times the noise of one coordinate, as OpenCV
     reports it).
     covariance : (6, 6) by camera, relative to the reference: rotation vector (rad, in the camera's frame), centre (m,
-    in the reference's frame). inflation : by how much it exceeds what independent errors of corners would leave (1: not
-    at all), because corners at one pose of a target err together: it moved between the exposures or is bent, a lens.
-    sync_error_m : by how much (sd) the targets seem to have moved between the cameras' exposures, 0 where nothing says
-    that they did.
-    left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
-    nothing).
-    undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside the most seen
-    one over the size given, and its standard deviation (SIZE_SD where nothing compares them). focal_of : by camera, the
-    focal length that all views together ask for over the one given (or refined), and its standard deviation: far from
-    1, the intrinsics are not this camera's.
+    in the reference's frame). inflation : its ratio to the covariance from independent corner errors (1: equal), as the
+    errors of the corners at one pose of a target are correlated: by motion between the exposures, a bent board, a lens.
+    sync_error_m : motion (sd) of the targets between the cameras' exposures, 0 if there is no evidence of any.
+    left_out : rejected detections, with the reason (without those of a wand that no other camera saw).
+    undecided : cameras whose half turn is not determined. scale_of : by target, its size against the most seen one over
+    the size given, and its standard deviation (SIZE_SD if they were not compared). focal_of : by camera, the focal
+    length that fits all views over the one given (or refined), and its standard deviation: far from 1, the intrinsics
+    are not this camera's.
     """
 
     cameras: dict[str, CameraModel]
@@ -70,11 +68,11 @@ def solve_rig(
     """Solve for the poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of
     known size.
 
-    targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target in the same frame
-    is in one place. reference : (target, frame) whose frame the poses are in; by default that of the camera that is
-    linked best. alike : targets that look the same after half a turn: their numbering is settled by what the cameras
-    agree on. intrinsics_sd : by camera, standard deviations of fx fy cx cy [and the distortion]; they enlarge the
-    poses' covariance.
+    targets : by name, (n, 3) corners in the target's frame, m. In one frame of all cameras a target is in one place.
+    reference : (target, frame) whose frame the poses are in; by default that of the camera that is linked best. alike :
+    targets that look the same after half a turn: their numbering is settled by agreement of the cameras.
+    intrinsics_sd : by camera, standard deviations of fx fy cx cy [and the distortion]; they enlarge the poses'
+    covariance.
 
     The same input gives the same result to the last bit, in whatever order detections and names come. Raises InputError
     for detections of another image size, for cameras that see nothing and groups that share no view (both also
@@ -88,10 +86,10 @@ def solve_rig(
     require_connected(problem.cameras, [view.detection for view in views if view.links], useless)
     # 3. First poses, by consensus of pairs of cameras and of the views of each target.
     initial = initial_poses(problem.cameras, views)
-    # 4, 5. Bundle adjustment; what contradicts the rest is left out, and named.
+    # 4, 5. Bundle adjustment; contradicting detections are left out, and named.
     fit = settled(start_fit(problem, views, initial))
     require_connected(problem.cameras, fit.detections, fit.reasons)
-    # 6. The frame asked for, and the covariance in it.
+    # 6. The requested frame, and the covariance in it.
     row = None if reference is None else problem.keys.index(reference)
     if row is not None and row not in fit.used.pose:
         what = f"the reference, target '{problem.keys[row][0]}' in frame {problem.keys[row][1]}, contradicts the rest"
@@ -129,13 +127,13 @@ def _target_origin(problem: Problem, state: BundleState, row: int) -> Array:
 # intrinsics are right, it changes them by no more than their standard deviations. (A board that only one camera sees
 # tells little about them: a longer lens looks like a board farther away. Another camera knows where the board is.)
 
-WIDE = 0.1  # of the focal length: standard deviation of what is assumed of all four beforehand
+WIDE = 0.1  # of the focal length: standard deviation of the prior of all four
 PINHOLE = 4
 
 
 def _focal_ratios(fit: RobustFit) -> dict[str, tuple[float, float]]:
-    """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
-    standard deviation."""
+    """Return, by camera, the ratio of the focal length that fits all views to the given one, and its standard
+    deviation."""
     state, names = fit.state, list(fit.problem.cameras)
     layout = state.layout
     focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
@@ -156,7 +154,7 @@ def _focal_ratios(fit: RobustFit) -> dict[str, tuple[float, float]]:
 
 
 def _solution(fit: RobustFit, reference: int | None) -> RigSolution:
-    """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
+    """Make the solution: poses, residuals, covariance relative to the reference, rejected detections with reasons."""
     problem, state, used, layout = fit.problem, fit.state, fit.used, fit.state.layout
     names = list(problem.cameras)
     T_camera = transform(state.R_camera, -(state.R_camera @ state.centre[..., None])[..., 0])
@@ -206,7 +204,7 @@ def _place(out: RejectedDetection) -> tuple[str, int, str]:
 
 
 def _undecided(fit: RobustFit) -> tuple[str, ...]:
-    """Cameras linked to the others by a single pose of a target that looks alike after half a turn."""
+    """Return the cameras linked to the others by a single pose of a target that looks alike after half a turn."""
     shared = [(target, names) for (target, _), names in cameras_by_pose(fit.detections).items() if len(names) > 1]
     links = {name: [target for target, names in shared if name in names] for name in fit.problem.cameras}
     return tuple(name for name, of in links.items() if len(of) == 1 and len(fit.problem.shapes[of[0]].ways) > 1)

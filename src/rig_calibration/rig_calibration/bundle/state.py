@@ -31,8 +31,8 @@ class BundleState:
 
     R_camera (c, 3, 3), centre (c, 3): x_camera = R_camera (x - centre); lens (c, 12): fx fy cx cy k1 k2 p1 p2 k3 k4 k5
     k6, or k1 k2 k3 k4 of those that are ``fisheye`` (c,); R_pose (m, 3, 3), position (m, 3): x = R_pose scale x_target
-    + position, x_target about the target's centroid; scale (k,) of each target; board_warp (k, 2): how far its middle
-    stands out along its z, m, bent along x and y.
+    + position, x_target about the target's centroid; scale (k,) of each target; board_warp (k, 2): offset of its middle
+    along its z, m, by bending along x and along y.
     """
 
     R_camera: Array
@@ -107,9 +107,9 @@ class Layout:
 class Observations:
     """The corners of all detections, padded to the same number.
 
-    camera, pose, target (s,): rows of the state; points (s, n, 3) on the target; bend (s, n, 2): how far a corner
-    stands out where the middle does by one metre; pixels (s, n, 2); weight (s, n): 1 / standard deviation (1/px), 0
-    where there is no corner.
+    camera, pose, target (s,): rows of the state; points (s, n, 3) on the target; bend (s, n, 2): offset of each corner
+    per metre of the middle's; pixels (s, n, 2); weight (s, n): 1 / standard deviation (1/px), 0 where there is no
+    corner.
     """
 
     camera: Ints
@@ -223,7 +223,7 @@ def linearise(state: BundleState, seen: Observations) -> LinearisedRows:
 def _by_model(
     of_lens: Callable[..., Sequence[Array]], ideal: Array, state: BundleState, seen: Observations
 ) -> list[Array]:
-    """Return what a function of ideal points (s, n, 2) and coefficients gives, of each detection by its lens model."""
+    """Apply a function of ideal points (s, n, 2) and coefficients to each detection by its lens model."""
     fisheye, D = state.fisheye[seen.camera], state.lens[seen.camera][:, None, 4:]
     if not fisheye.any():
         return list(of_lens(ideal, D))

@@ -1,7 +1,7 @@
-"""Frames of a board in the room: those of one at rest averaged, of one carried about which to use, in which it lies on
-the floor, and where to carry it next.
+"""Frames of a board in the room: averages of a board at rest; choice of frames of a carried board, those on the floor,
+and advice where to carry it next.
 
-The board lies on the floor when the user says so, or where nothing was ever below its plane.
+The board lies on the floor in frames that the user names, or where nothing was ever below its plane.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ LOWEST: Literal["lowest"] = "lowest"
 FloorAt = int | Literal["lowest"]
 
 # Thresholds: judgement, no measurement.
-BELOW_M = 0.03  # so far may another board's corner, or a camera, lie below the plane of a board on the floor
-STRAYS_PERCENT = 1  # of all corners, so many may lie lower still: poses go wrong now and then
+BELOW_M = 0.03  # largest depth of another board's corner, or a camera, below the plane of a board on the floor
+STRAYS_PERCENT = 1  # of all corners that may lie lower still, as some poses are wrong
 
 
 def frames_on_floor(
@@ -131,7 +131,7 @@ def _rests(one: Sequence[TargetDetection], other: Sequence[TargetDetection]) -> 
 
 # Thresholds: measured by python bench/calibration.py.
 SAME_PLACE_PX = 1.0  # corners that lie further apart (median over the board) belong to a board, or a camera, that moved
-MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show it
+MIN_SHARE = 1 / 3  # of the agreeing frames that must show a corner
 LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels and the lens err alike in every frame
 
 
@@ -168,7 +168,7 @@ def _table(detections: Sequence[TargetDetection], corners: int, half_turn_is_vis
 
 
 def _distance(one: Array, other: Array) -> float:
-    """Median distance, px, of the corners that both show; infinite when they share none."""
+    """Return the median distance, px, of the common corners; infinite without any."""
     apart = np.linalg.norm(one - other, axis=1)
     apart = apart[np.isfinite(apart)]
     return float(np.median(apart)) if apart.size else float("inf")
@@ -176,12 +176,12 @@ def _distance(one: Array, other: Array) -> float:
 
 # --- Progress while the board is carried.
 
-ENOUGH_SHARED = 12  # so many frames tie one camera to another
+ENOUGH_SHARED = 12  # common frames that tie one camera to another
 ENOUGH_FRAMES = 40
 
 
 def motion_advice(cameras: Sequence[str], detections: Sequence[TargetDetection]) -> tuple[int, str]:
-    """Count the frames of the carried board that tie ``cameras`` together, and say what to do next; "" when it is
+    """Count the frames of the carried board that tie ``cameras`` together, and advise what to do next; "" when they are
     enough."""
     shared, frames = common_frames(detections), len(shared_frames(detections, len(detections) + 1))
     groups = groups_of(cameras, [pair for pair, count in shared.items() if count >= ENOUGH_SHARED])

@@ -1,7 +1,7 @@
 """From detections of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics (thesis
 6.1).
 
-A tape measure is part of the evidence: it alone can tell that the board's fields have another size than stated.
+A tape measure is part of the evidence: it alone reveals that the board's fields have another size than stated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Target:
     """Something of known shape: points (n, 3) in its own frame, metres.
 
     looks_alike : after half a turn, so that a picture does not show which way round it lies.
-    T_world_target (4, 4) : where it lies in the world; None of what is carried.
+    T_world_target (4, 4) : its pose in the world; None of a carried target.
     """
 
     points: Array
@@ -89,10 +89,10 @@ class TapeMeasure:
 
 @dataclass(frozen=True, eq=False)
 class RigCalibration:
-    """The rig and everything that is known about it.
+    """The rig and its figures.
 
-    common : what its cameras see in common. floor_world (n, 3) : the points of the floor target; None without one: z up
-    is then a guess. tape : what was measured by hand.
+    common : the common volume. floor_world (n, 3) : the points of the floor target; None without one: z up is then a
+    guess. tape : measurements by hand.
     """
 
     rig: Rig
@@ -127,14 +127,14 @@ def calibrate_rig(
     intrinsics_sd: Mapping[str, Sequence[float]] | None = None,
     tape: Iterable[TapeMeasure] = (),
 ) -> RigCalibration:
-    """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.
+    """Place all ``cameras`` (only their intrinsics are used) by their detections of ``targets``.
 
-    The target called FLOOR, seen in frame 0, tells where the world is; without it the first camera is taken for level.
+    The target called FLOOR, seen in frame 0, defines the world; without it the first camera is taken for level.
     Every detection names its target. ``intrinsics_sd`` : as :func:`solve_rig` takes them. Raises InputError naming
     cameras that see nothing, or groups that share no view.
     """
     floor = targets.get(FLOOR)
-    # all cameras and targets at once, in the frame of what lies on the floor
+    # all cameras and targets at once, in the floor target's frame
     solution = solve_rig(
         cameras,
         detections,
@@ -164,8 +164,8 @@ def calibrate_rig(
 
 # Limits of USABLE and REDO: judgement.
 RATIO = (0.01, 0.03)  # of two sizes, of a length to the tape's, of a focal length to the one given
-TAPE_ERROR_M = 0.02  # a tape held against a lens errs by so much
-MIN_TAPE_M = TAPE_ERROR_M / RATIO[1]  # a shorter length tells nothing
+TAPE_ERROR_M = 0.02  # error of a tape held against a lens
+MIN_TAPE_M = TAPE_ERROR_M / RATIO[1]  # a shorter length is too inaccurate
 SD_MM, SD_DEG = (10.0, 40.0), (0.2, 1.0)
 RMS_PX, RMS_WIDTH_PX = (1.0, 3.0), 1000  # wider images may have residuals in proportion
 WRONG_SHARE = (0.2, 0.3)  # of a camera's detections
@@ -233,7 +233,7 @@ def _of_camera(name: str, rig: RigCalibration) -> Iterator[Finding]:
 
 
 def footage_findings(solution: RigSolution) -> Iterator[Finding]:
-    """Find what is wrong with synchrony, lenses and ties, and detections that contradict the rest."""
+    """Yield faults of synchrony, lenses and ties, and detections that contradict the rest."""
     if solution.sync_error_m > SYNC_ERROR_M:
         yield Finding(
             USABLE,

@@ -45,8 +45,8 @@ def board_in_world(corners_board: Array, choice: WorldChoice) -> Array:
 
 
 def world_of_level_camera(T_camera_reference: Array) -> Array:
-    """T_world_reference (4, 4) when no floor is known: the camera is taken for level, world x is where it looks, and
-    the world's origin is its centre. Directions and distances are right but for that tilt; heights mean nothing."""
+    """Return T_world_reference (4, 4) when no floor is known: the camera is taken for level, world x is its viewing
+    direction, the origin its centre. Directions and distances are right but for its tilt; heights are meaningless."""
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
     return T_world_camera @ T_camera_reference
@@ -59,21 +59,21 @@ def world_of_level_camera(T_camera_reference: Array) -> Array:
 ENOUGH_CAMERAS = 3  # two outlines leave a hull far fatter than the body
 STEP_M = 0.1
 BODY_TOP_M = 1.7  # a person can be tracked at a place where enough cameras see every height up to this
-LEVELS_M = np.arange(0.15, BODY_TOP_M, 0.25)  # heights at which a place on the floor is asked who sees it
-REACH = 2.0  # a camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse
+LEVELS_M = np.arange(0.15, BODY_TOP_M, 0.25)  # heights above a place on the floor at which views are counted
+REACH = 2.0  # times a camera's distance from the rig's centre up to which it counts; beyond, its pixels are too coarse
 MIN_SIDE_M, MAX_SIDE_M = 1.0, 8.0
 TIP_SHARE = 0.02
-"""Of the places, so many may lie outside the box on each side: the tips of a star are not worth their voxels."""
+"""Share of the places that may lie outside the box on each side: the tips of a star are not worth their voxels."""
 
 
 @dataclass(frozen=True, eq=False)
 class CommonVolume:
-    """What the cameras see in common.
+    """The cameras' common volume.
 
     box : axis-aligned, from just below the floor to 2.4 m above it: the bounding box of the places where a person can
-    be tracked, or of what is watched at breast height where there is no such place. floor_m2 : by number of cameras (1
-    to all), the floor area where at least so many see a standing person. enough : how many cameras are enough. standing
-    (nx, ny) : how many cameras see a person who stands at x (nx,), y (ny,).
+    be tracked, or, without any, of the places seen at breast height. floor_m2 : by number of cameras (1 to all), the
+    floor area where at least that many see a standing person. enough : the number of cameras that suffices. standing
+    (nx, ny) : number of cameras that see a person who stands at x (nx,), y (ny,).
     """
 
     box: Volume
@@ -109,7 +109,7 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
 
 
 def _cameras_seeing(cameras: Sequence[CameraModel], x: Array, y: Array) -> npt.NDArray[np.int64]:
-    """Return (levels, nx, ny) how many cameras see each point."""
+    """Return the number of cameras (levels, nx, ny) that see each point."""
     points = np.stack(np.meshgrid(LEVELS_M, x, y, indexing="ij"), axis=-1)[..., [1, 2, 0]]
     centre = np.array([x.mean(), y.mean(), 1.0])
     seeing = np.zeros(points.shape[:3], np.int64)
@@ -152,9 +152,9 @@ def _extent(counts: npt.NDArray[np.int64]) -> tuple[int, int]:
 class CameraFigures:
     """Figures of one camera.
 
-    detections : how many went into the solution. rms_px : of their corners' distances. mm_per_px : what a pixel covers
-    at the volume's centre. distance_m : from there. height_m : of the lens above the floor. sd_centre_mm,
-    sd_rotation_deg : standard deviation, in the worst direction.
+    detections : number in the solution. rms_px : of their corners' distances. mm_per_px : a pixel's width at the
+    volume's centre. distance_m : from there. height_m : of the lens above the floor. sd_centre_mm, sd_rotation_deg :
+    standard deviation, in the worst direction.
     """
 
     detections: int

@@ -1,7 +1,7 @@
-"""Intrinsics of one camera from views of a board (thesis 6.1), and which lens model they ask for.
+"""Intrinsics of one camera from views of a board (thesis 6.1), and the choice of the lens model.
 
 A lens is the bundle adjustment of a rig of one camera, which holds the frame. Free are its lens (with a wide prior),
-the board's warp and its pose in each view. Of two models the one is taken that explains the views better; of two that
+the board's warp and its pose in each view. Of two models the one that explains the views better is chosen; of two that
 explain them alike, the one that has a ray for every pixel.
 """
 
@@ -27,7 +27,7 @@ from .result import UNUSED_GOOD, Intrinsics, ViewResult
 
 AUTO = "auto"
 # Thresholds: judgement, no measurement.
-WORTHWHILE = 0.02  # relative gain in rms for which more coefficients are taken (by chance they gain 0.0003)
+WORTHWHILE = 0.02  # relative gain in rms that justifies more coefficients (by chance they gain 0.0003)
 MIN_VIEWS = 3
 FOCAL_TRIALS = np.geomspace(0.2, 5.0, 9)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
@@ -36,8 +36,8 @@ TRIAL_VIEWS = 12
 def calibrate_intrinsics(
     detections: Sequence[TargetDetection], board: Board, *, name: str, model: str = SIMPLE
 ) -> Intrinsics:
-    """Calibrate the lens of camera ``name`` from what it saw of ``board``; the same detections, in any order, give the
-    same bytes.
+    """Calibrate the lens of camera ``name`` from its detections of ``board``; the same detections, in any order, give
+    the same bytes.
 
     ``model`` : one of MODELS, or auto: the one that explains the views better. Raises InputError: images of several
     sizes, too few views that agree.
@@ -49,7 +49,7 @@ def calibrate_intrinsics(
             where=name,
             remedy="Take 20 or more, tilted and all over the image; check the board's size.",
         )
-    # lens, poses and the board's warp together, without what the other views contradict
+    # lens, poses and the board's warp together, without contradicting views
     result = choose_model(views, board) if model == AUTO else fit_lens(views, board, LensModel(model))
     return replace(result, camera=replace(result.camera, name=name))
 
@@ -83,8 +83,8 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> Intrinsics:
 
 
 def typical_ratio(fit: Intrinsics, other: Intrinsics) -> float:
-    """Return by what factor one fit's misfit exceeds another's in the median view; it is infinite, or 0, where only one
-    of them left the view out."""
+    """Return the ratio of two fits' misfits in the median view; infinite, or 0, for a view that only one of them left
+    out."""
     rms_px, others_px = ({view.detection.frame_index: view.rms_px for view in each.views} for each in (fit, other))
     frames = rms_px.keys() | others_px
     return float(np.median([rms_px.get(k, np.inf) / others_px[k] if k in others_px else 0.0 for k in frames]))
@@ -98,7 +98,7 @@ def fit_lens(detections: Sequence[TargetDetection], board: Board, model: LensMod
     InputError when too few views agree."""
     some = detections[:: max(1, len(detections) // TRIAL_VIEWS)]
     start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model)))
-    # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
+    # only a roughly right lens distinguishes the plane's two solutions: poses anew
     fit = settled(_fit_from(start, detections, board, model))
     if len(fit.rows) < MIN_VIEWS:
         reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"

@@ -1,8 +1,7 @@
-"""The parameters of a lens and of the board it is seen with, what is known about them before any view is taken, and how
-uncertain they leave the rays.
+"""The parameters of a lens and of the board's warp, their prior, and the uncertainty of the rays.
 
-They are fx fy cx cy, the distortion coefficients in OpenCV's order, and two of the board: how far its middle stands out
-along its x and its y axis (a board that is bent would otherwise be taken for lens distortion).
+They are fx fy cx cy, the distortion coefficients in OpenCV's order, and two of the board: the offset of its middle by
+bending along its x and its y axis (a bent board would otherwise be taken for lens distortion).
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class LensModel:
         return CameraModel(name, width, height, K, self.name, none, np.eye(4))
 
     def prior(self, focal_px: float, image_size: tuple[int, int], board_diagonal_m: float) -> Prior:
-        """Return what is known of a lens whose focal length is roughly ``focal_px``."""
+        """Return the prior of a lens whose focal length is roughly ``focal_px``."""
         start, count = LAYOUT.lens(0).start, len(self.names)
         mean, information = np.zeros(LAYOUT.size), np.zeros((LAYOUT.size, LAYOUT.size))
         mean[start : start + LENS] = lens_of(self.camera("", focal_px, image_size))
@@ -76,7 +75,7 @@ class LensModel:
         return Prior(mean, information)
 
 
-# --- How uncertain a calibrated lens leaves the rays of its pixels, and how far out it has rays at all.
+# --- Uncertainty of the rays of a calibrated lens, and the radius up to which it has rays.
 
 
 def edge_sd_px(camera: CameraModel, covariance: Array) -> float:

@@ -36,13 +36,13 @@ class ViewResult:
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics:
-    """One camera's lens, how well it is known, and whether it will do.
+    """One camera's lens, its uncertainty, and the verdict on it.
 
     camera : pose = identity. sigma_px : sd of a corner's coordinate, from the residuals; the typical view's. sd : by
-    parameter name, px or without unit; covariance : theirs, in the same order. sd_enlarged_by : factor >= 1 by which sd
-    exceeds what independent corner errors would give. warp_m : how far the board's middle stands out along x and y, and
-    sd. views, left_out : what the result rests on, and what not. edge_sd_px : uncertainty of a ray at the four corners
-    of the image (or as far as the lens model holds), the worst. choice : the lens model and why, when it was chosen.
+    parameter name, px or without unit; covariance : theirs, in the same order. sd_enlarged_by : ratio >= 1 of sd to
+    that from independent corner errors. warp_m : offset of the board's middle by bending along x and y, and sd. views,
+    left_out : used and rejected views. edge_sd_px : uncertainty of a ray at the four corners of the image (or as far as
+    the lens model holds), the worst. choice : the lens model and why, when it was chosen.
     """
 
     camera: CameraModel
@@ -76,7 +76,7 @@ class Intrinsics:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Is it good enough, and if not, what to do."""
+        """Whether it is good enough, and if not, what to do."""
         return judge(lens_findings(self))
 
 
@@ -123,7 +123,7 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _short(value: float) -> float:
-    """Four digits: what a person reads."""
+    """Format a number with four digits."""
     return float(f"{value:.4g}")
 
 
@@ -140,7 +140,7 @@ UNUSED_GOOD, UNUSED_USABLE = 0.001, 0.3  # of the image's pixels: without rays
 
 
 def lens_findings(result: Intrinsics) -> Iterator[Finding]:
-    """Find what is wrong with a calibration, worst causes first; sagoma doctor says whether such a lens exists."""
+    """Yield faults of a calibration, worst causes first; sagoma doctor judges whether such a lens exists."""
     values, sd, camera = result.values, result.sd, result.camera
     scale = max(camera.width, camera.height) / REFERENCE_WIDTH_PX
     tilted = "more views, the board tilted by 30 to 45 degrees in all four directions and filling half the image"
@@ -175,7 +175,7 @@ def lens_findings(result: Intrinsics) -> Iterator[Finding]:
 
 
 def unused_text(camera: CameraModel) -> str:
-    """Say how much of the image has no rays that are used, and from which angle on."""
+    """Return in words the share of the image without usable rays, and the angle from which on."""
     ends = "undistorted picture ends at" if camera.distortion_model == FISHEYE else "lens model holds up to"
     share = f"{100 * camera.unused_share:.1f} % of the image is not used"
     return f"the {ends} {np.rad2deg(camera.reach_rad):.0f} degrees: the outer {share}"

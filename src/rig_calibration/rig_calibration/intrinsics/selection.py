@@ -1,7 +1,7 @@
 """Chooses the views to calibrate from: sharp, still, unlike each other, and informative about the lens.
 
-Views are offered one by one, from a video or live, and each is answered at once. Collecting ends when all is covered by
-enough views; how well they tell the lens, the calibration's verdict says.
+Views are offered one by one, from a video or live, and each is accepted or refused at once. Collecting ends when all
+goals are covered by enough views; the calibration's verdict judges how well they determine the lens.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ SIDES = ("left", "right", "top", "bottom")
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """A detection and how it shows the board: centre (2,) px; size: side of its area, as a share of the image's;
-    lean_rad (2,) how much its edges at the image's right (+, left -) and bottom (+, top -) lean towards the camera;
-    roll_rad in the image."""
+    """A detection and the board's pose in it: centre (2,) px; size: side of its area, as a share of the image's;
+    lean_rad (2,) lean of its edges at the image's right (+, left -) and bottom (+, top -) towards the camera; roll_rad
+    in the image."""
 
     detection: TargetDetection
     centre_px: Array
@@ -58,7 +58,7 @@ class BoardView:
 
 
 def view_of(detection: TargetDetection, board: Board, lens: CameraModel) -> BoardView | None:
-    """Tell what a board means to the person who holds it, seen by roughly this lens; None when its pose is unknown."""
+    """Describe a detection for the person who holds the board, by a rough lens; None when the pose is unknown."""
     pixels, shape = detection.pixels, target_shape("", board.corners_board)
     poses = poses_of(detection.ids, lens.ideal_points(pixels), lens, shape)
     if poses is None:
@@ -88,7 +88,7 @@ class Coverage:
     sizes: float
 
     def progress(self) -> dict[str, float]:
-        """Return each goal's name and how far it is reached, 0 to 1."""
+        """Return each goal's name and its progress, 0 to 1."""
         tilts = {f"tilt {side}": min(self.tilt_deg[side] / TILT_WANTED_DEG, 1.0) for side in SIDES}
         sizes = min(np.log(self.sizes) / np.log(SIZES_WANTED), 1.0)
         return {"image": min(float(self.cells.mean()) / IMAGE_WANTED, 1.0), **tilts, "distance": float(sizes)}
@@ -116,7 +116,7 @@ class Coverage:
 
 
 def coverage_of(views: Sequence[BoardView]) -> Coverage:
-    """Summarise what views show."""
+    """Summarise the views."""
     size = views[0].detection.image_size if views else (4, 3)
     cells = np.zeros((max(round(CELLS_ACROSS * size[1] / size[0]), 2), CELLS_ACROSS), bool)
     for view in views:
@@ -151,9 +151,9 @@ NOT_SEEN = "the board is not seen"
 
 
 class ViewCollector:
-    """Collects views of ``board`` by one ``camera``, and counts what became of its images.
+    """Collects views of ``board`` by one ``camera``, and counts its images by their fate.
 
-    ``every`` : take alike views, too (a few chosen photographs). ``thorough`` : look longer for the board in each
+    ``every`` : accept similar views, too (a few chosen photographs). ``thorough`` : search longer for the board in each
     image, for a few pictures that each matter.
     """
 
@@ -175,9 +175,9 @@ class ViewCollector:
         return len(self._views)
 
     def process(self, image: np.ndarray, frame_index: int) -> tuple[TargetDetection | None, str]:
-        """Look at an image (H, W[, 3]) uint8.
+        """Search an image (H, W[, 3]) uint8.
 
-        Returns the detection, None when the board was not found, and why it was not taken ("": it was). Raises
+        Returns the detection, None when the board was not found, and why it was not accepted ("": it was). Raises
         InputError when the images change their size.
         """
         detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)
@@ -189,7 +189,7 @@ class ViewCollector:
         return detection, reason
 
     def try_add(self, detection: TargetDetection) -> str:
-        """Add the view and return "", or say why not. Raises InputError for an image of another size."""
+        """Add the view and return "", or the reason why not. Raises InputError for an image of another size."""
         size, blurs_px = detection.image_size, [view.detection.blur_px for view in self._views]
         if self._views and size != self._views[0].detection.image_size:
             first = self._views[0].detection
@@ -209,12 +209,12 @@ class ViewCollector:
 
     @property
     def coverage(self) -> Coverage:
-        """Coverage of the views taken so far."""
+        """Coverage of the views accepted so far."""
         return coverage_of(self._views)
 
     @property
     def enough(self) -> bool:
-        """Whether all is covered by enough views, or so many views were taken that more help little."""
+        """Whether all goals are covered by enough views, or further views would help little."""
         return len(self) >= PLENTY or (len(self) >= ENOUGH_VIEWS and self.coverage.complete)
 
     def advice(self) -> str:

@@ -219,8 +219,8 @@ def ray_match(best):
 
 @kernel
 def match_capsule(k, start, end, r0, dr, slack, rows, best):
-    """Offer one capsule to all rays. Two arrays, ``rows`` (13, n) to read and ``best`` (4, n) to improve: with more of
-    them the compiler could not tell that they do not overlap."""
+    """Offer one capsule to all rays. ``rows`` (13, n) is read, ``best`` (4, n) improved: of more arrays the compiler
+    could not prove that they do not overlap."""
     P0, P1, P2 = start[0], start[1], start[2]
     s0, s1, s2 = end[0] - P0, end[1] - P1, end[2] - P2
     number = float(k)

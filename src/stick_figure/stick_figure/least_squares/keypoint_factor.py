@@ -4,8 +4,8 @@ A detection z of a joint X, in normalised coordinates of the undistorted image, 
 
     r = z - (x / z, y / z),    (x, y, z) = R X + t
 
-whose covariance is the detection's own and that of what detectors call a joint, LANDMARK_SD_M wide, seen at the joint's
-depth. Detectors take a joint for that of the other side, or see one where none is: the weights are Geman-McClure.
+whose covariance is the detection's own plus that of the detectors' landmark about the joint, LANDMARK_SD_M at the
+joint's depth. Detectors exchange sides, or find joints where there are none: the weights are Geman-McClure.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from .normal_equations import CHAIN_COLUMNS
 HIP_ASIDE_M = 0.025  # of the detectors' hips beside the joint's centre
 LANDMARK_SD_M = 0.02  # of a detected joint, a place on the image of the skin, about the joint's centre
 GATE_SIGMAS = 3.0  # standard deviations at which the weight of a residual has fallen to 1/4
-MOST_NATS = 0.5 * GATE_SIGMAS**2  # that one detection can say
-NEAREST_M, UNSEEN = 0.1, 1e6  # joints at and behind the camera are not seen: a residual that counts for nothing
+MOST_NATS = 0.5 * GATE_SIGMAS**2  # largest log likelihood of one detection
+NEAREST_M, UNSEEN = 0.1, 1e6  # joints at and behind the camera get a residual beyond every gate
 
 
 def _landmarks() -> dict[str, tuple[int, int, float, float]]:
-    """Return of each landmark the stick that carries it, the stick along which it lies, from 0 to 1, and how far it is
-    to the left in the carrier's frame, m."""
+    """Return for each landmark the stick that carries it, the stick along which it lies, its place there from 0 to 1,
+    and its offset to the left in the carrier's frame, m."""
     places = {"torso": (0, 0, 0.5, 0.0), "head": (1, 1, 1.0, 0.0), "neck": (0, 1, 0.0, 0.0)}
     for side, left in ((0, 1.0), (1, -1.0)):
         name = ("left", "right")[side]
@@ -49,7 +49,7 @@ def _landmarks() -> dict[str, tuple[int, int, float, float]]:
 
 
 LANDMARKS = _landmarks()
-"""The places of the figure that detectors know, by name."""
+"""The places of the figure that detectors find, by name."""
 LANDMARK_NAMES = tuple(LANDMARKS)
 CARRIER, LINE = (np.array([place[k] for place in LANDMARKS.values()]) for k in range(2))
 ALONG, LEFT = (np.array([place[k] for place in LANDMARKS.values()]) for k in range(2, 4))
@@ -60,9 +60,8 @@ class Keypoints(NamedTuple):
     """Detections (n) of one instant.
 
     landmark (n,) : number in LANDMARK_NAMES. T_camera_world (n, 3, 4) : of the camera that saw it. ideal (n, 2) :
-    where, in normalised coordinates without distortion; covariance (n, 3) : xx, xy, yy of that. score (n,) : from 0 to
-    1, how much it counts. skeleton (n,), camera (n,) : the number of the skeleton that it is part of, and of the camera
-    in the rig.
+    its place, in normalised coordinates without distortion; covariance (n, 3) : xx, xy, yy of that. score (n,) : its
+    weight, from 0 to 1. skeleton (n,), camera (n,) : the numbers of its skeleton, and of the camera in the rig.
     """
 
     landmark: np.ndarray
@@ -112,8 +111,8 @@ def add_keypoints(keypoints, posed, scale, H, g):
 
 @njit(cache=True, nogil=True)
 def keypoint_support(keypoints, posed, sticks):
-    """Return by how much (nats) the detections of joints on some ``sticks`` (10,) bool speak for the pose: the log
-    likelihood over that of detections that are anywhere."""
+    """Return the log-likelihood ratio (nats) of the pose and of chance for the detections of joints on some ``sticks``
+    (10,) bool."""
     point, D, support = np.empty(3), np.empty((2, 3)), 0.0
     for i in range(keypoints.score.shape[0]):
         if sticks[CARRIER[keypoints.landmark[i]]]:
@@ -124,7 +123,7 @@ def keypoint_support(keypoints, posed, sticks):
 
 @njit(cache=True, nogil=True)
 def offsets_m(keypoints, posed):
-    """Return by how much (n, 2), m, the detections are off the joints, across their cameras' axes at the joints' depth;
+    """Return the offsets (n, 2), m, of the detections from the joints, across their cameras' axes at the joints' depth;
     huge at and behind the camera."""
     point, D, offsets = np.empty(3), np.empty((2, 3)), np.empty((keypoints.score.shape[0], 2))
     for i in range(offsets.shape[0]):

@@ -1,9 +1,9 @@
 """Normal equations of an articulated figure: how residuals become H (n, n) and g (n,) of the step H d = g.
 
-The first 24 unknowns are the pose's tangent. Terms fill the upper triangle of H. Two kinds of residual are known:
+The first 24 unknowns are the pose's tangent. Terms fill the upper triangle of H. There are two kinds of residual:
 displacements of points that are fixed to a stick (:mod:`.point_factor`), and distances from capsules. A distance from
-the surface of a capsule, taken along the unit normal n at the place u of its axis, is linear in what a capsule consists
-of, its ends P and Q and its two radii:
+the surface of a capsule, along the unit normal n at the place u of its axis, is linear in the capsule's ends P and Q
+and its two radii:
 
     e = n . (x - (1-u) P - u Q) - (1-u) r_P - u r_Q,    de = -(1-u) m . d(P, r_P) - u m . d(Q, r_Q),    m = (n, 1)
 
@@ -153,7 +153,7 @@ def pose_columns(k, posed, M, slots):
 
 @kernel
 def add_capsule(sums, k, M, slots, n, work, H, g):
-    """Add the sums of capsule k, whose ends' places move by M (6, n) with the unknowns ``slots`` (n,).
+    """Add the sums of capsule k, whose ends have the derivatives M (6, n) by the unknowns ``slots`` (n,).
 
     work (c + 1, c), c the capsule's numbers: scratch.
     """

@@ -9,9 +9,9 @@ For a foot inside a stick the component along the stick is free (the foot slides
 all three components count. This is articulated ICP as in Demirdjian & Darrell, "3-D articulated pose tracking for
 untethered diectic reference", ICMI 2002, with hard joint constraints; the columns are the thesis's Table 5.8 corrected.
 
-The centerline cannot see which way a torso faces, nor an arm that hangs against it: there the slices of trunk and arm
-merge. The hull's surface can. A small Geman-McClure gate ignores phantom volumes, whose surface is far from the body
-(their interior would not be: it stays out).
+The centerline does not show which way a torso faces, nor an arm that hangs against it, where the slices of trunk and
+arm merge. The hull's surface does. A small Geman-McClure gate ignores phantom volumes, whose surface is far from the
+body (unlike their interior, which is not used).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PointMatch(NamedTuple):
 
 @njit(cache=True)
 def match_points(data, posed):
-    """Find each point's stick, its foot there, and how much it counts."""
+    """Find each point's stick, its foot there, and its weight."""
     n = data.points.shape[0]
     match = PointMatch(
         np.empty(n, np.int64), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.bool_)
@@ -173,7 +173,7 @@ def foot_points(points, A, B, stick, along, feet, squared):
 
 @kernel
 def prefer_stick(j, x, y, z, start, end, stick, along, squared):
-    """Move to stick ``j`` every point that is nearer to it than ``squared`` says; branch-free, so it is vectorised."""
+    """Move to stick ``j`` every point that is nearer to it than ``squared``; branch-free, so it is vectorised."""
     a0, a1, a2 = start[0], start[1], start[2]
     d0, d1, d2 = end[0] - a0, end[1] - a1, end[2] - a2
     length2 = d0 * d0 + d1 * d1 + d2 * d2
@@ -228,7 +228,7 @@ def _sum_voxels(voxels, nearest, posed, information, gate, sums):
 
 @kernel
 def _weigh_voxels(distance, information, gate, normals, weight):
-    """normals (3, n) <- of unit length; weight (n,) <- Geman-McClure, 0 on a capsule's axis, where there is none."""
+    """normals (3, n) <- unit length; weight (n,) <- Geman-McClure, 0 on a capsule's axis, which has no normal."""
     for i in range(weight.shape[0]):
         x, y, z, e = normals[0, i], normals[1, i], normals[2, i], distance[i]
         length, ratio = np.sqrt(x * x + y * y + z * z), 1.0 + e * e / (gate * gate)
