@@ -2,7 +2,8 @@
 
 Segment frames: x forward, y up along the segment, z to the right. Left limbs are mirrored at the sagittal plane first,
 so that the same movement of both sides has the same sign (Wu et al. 2005, 2.3.5). Angles that a stick figure does not
-have are left out: the pelvis apart from the thorax, the clavicle, the forearm's pronation, the ankle. docs/reference/points.md
+have are left out: the pelvis apart from the thorax, the clavicle, the forearm's pronation, the ankle.
+docs/reference/points.md
 defines each angle.
 """
 
