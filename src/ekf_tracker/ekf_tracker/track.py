@@ -113,7 +113,7 @@ class BodyTrack:
             raised = raised_covariance(prior.covariance, self._last_transition, accelerating)
             prior = prior._replace(covariance=raised)
             distances = squared_distances(prior, sizes, noise)
-        anew = z.visible & (moved | self._seen & (distances > EXPECTED))
+        anew = moved | z.visible & self._seen & (distances > EXPECTED)
         if 2 * np.count_nonzero(anew[TORSO_POINTS]) >= len(TORSO_POINTS) and enough_to_start(z):
             return None
         start = prior.arrays
