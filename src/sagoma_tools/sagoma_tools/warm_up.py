@@ -1,7 +1,7 @@
-"""Compiles into the cache every numerical kernel of a live capture by what its nodes do before their first frame.
+"""Compiles into the cache every numerical kernel of a live capture, by the nodes' own warm-up.
 
-Run by the set-up: without it the first start of each node would take half a minute. What else has kernels (calibration,
-the thesis's method, exports) compiles them when it is first used. Each part imports what it compiles alone.
+Run by the set-up: without it the first start of each node would take half a minute. Other kernels (calibration, the
+thesis's method, exports) are compiled when they are first used. Each part imports only the modules that it compiles.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ FPS, S = 10.0, 0.8
 
 
 def main() -> int:
-    """Compile the parts in as many processes as there are cores: the longest first, what shares its kernels last."""
+    """Compile the parts in as many processes as there are cores: the longest first, parts with shared kernels last."""
     os.environ["NUMBA_OPT"] = "2"  # the kernels are no slower than with 3, and compile in four fifths of the time
     parts = (compile_fit, compile_hull, compile_cameras, compile_filter)
     processes = min(len(parts), len(os.sched_getaffinity(0)))
-    # without the collector, which looks through all that the compiler holds, again and again: a fifth of the time
+    # without the collector, which would visit the compiler's objects again and again: a fifth of the time
     with (
         tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder,
         ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), gc.disable) as pool,

@@ -164,7 +164,7 @@ def camera_name_of(topic: str) -> str:
 
 
 def plain_line(collector: ViewCollector, last: str) -> str:
-    """Return the progress as a line; ``last`` : what came of the last image."""
+    """Return the progress as a line; ``last`` : result of the last image."""
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
     advice = collector.advice() or "enough"
     return f"{collector.camera}: {len(collector)} views; {progress}; {advice} (last image: {last})"

@@ -32,7 +32,7 @@ from ..evaluation.track import REMEDY, explain
 from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 
-TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
+TRACKED = 0.5  # least share of answered sets with a body: the rest precedes the first pose
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
 
@@ -123,7 +123,7 @@ def pace(live: LiveRun, cameras: int, fps: float) -> str:
 
 
 def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
-    """Say what to do about a capture that is not sound.
+    """Return the remedy for a capture that is not sound.
 
     rate : of the footage, None of cameras; reasons : of each set, why nobody was tracked in it, where that is wrong.
     """

@@ -1,4 +1,4 @@
-"""A track scored against a session's truth: thesis Tables 7.1 and 7.2, and what they leave out."""
+"""A track scored against a session's truth: thesis Tables 7.1 and 7.2, and further figures."""
 
 from __future__ import annotations
 
@@ -286,13 +286,13 @@ def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str,
 
 
 def number(value: float, digits: int = 4) -> float | None:
-    """Return a number as JSON knows them: None for what is not finite."""
+    """Return a number for JSON: None if it is not finite."""
     return round(float(value), digits) if np.isfinite(value) else None
 
 
 @dataclass(frozen=True, eq=False)
 class PartCalls:
-    """What a track says of the parts of the body (``PART_NAMES``), frame by frame; an untracked frame says nothing.
+    """Published states of the parts of the body (``PART_NAMES``) against their errors, frame by frame, where tracked.
 
     wrong : (F, 5) bool, a point of the part is more than 200 mm off. called : (F, 5) bool, its published state is
     doubtful or lost. clear : (F,) bool, frames with all points known and less than 100 mm off.
