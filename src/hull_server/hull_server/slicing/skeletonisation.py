@@ -19,7 +19,7 @@ from mocap_packets.hull import Centerline
 
 from ..grid import Array, BrickVolume, VoxelGrid
 from ..settings import BlobSettings
-from .voxel_runs import HullRuns, brick_box, find_runs, join_in_slices, join_in_space, pack_rows, run_at
+from .voxel_runs import HullRuns, brick_box, find_bit_runs, join_in_slices, join_in_space, pack_rows, run_at
 
 GROWTH_STEP_M = 0.02  # least distance of the slices that a blob's growth compares; at least a voxel
 
@@ -87,7 +87,7 @@ def _slice(index, leaves, bricks_x, bricks_y, step):  # type: ignore[no-untyped-
     low = 8 * np.array([box[0], box[1], box[2]])
     along_x, along_y = pack_rows(index, leaves, bricks_x, bricks_y, box)
     layers, rows, columns = along_x.shape[0], along_x.shape[1], along_y.shape[1]
-    runs, runs_y = find_runs(along_x), find_runs(along_y)
+    runs, runs_y = find_bit_runs(along_x), find_bit_runs(along_y)
     starts, ends, first, _ = runs
     joined_z, joined_y = join_in_slices(runs, rows, False), join_in_slices(runs, rows, True)
     part = join_in_space(joined_z, joined_y)
