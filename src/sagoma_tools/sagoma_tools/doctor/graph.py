@@ -209,7 +209,7 @@ def check_presence(camera: str, facts: GraphFacts) -> Iterator[CheckResult]:
 def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[CheckResult]:
     """Whether its silhouettes arrive, and in time."""
     if not sent.masks:
-        if client is not None and client.state == ACTIVE and client.message != UNCALIBRATED:  # else findings say so
+        if client is not None and client.state == ACTIVE and client.message != UNCALIBRATED:  # else it is a finding
             text = f"its client sends {client.value('rate_hz') or 'none or some'} a second, none arrives here"
             remedy = f"See its message: without a background it sends none. {BIG_MESSAGES}"
             yield error("silhouettes.not_arriving", text, remedy)

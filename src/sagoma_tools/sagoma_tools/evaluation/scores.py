@@ -159,9 +159,9 @@ class PointScores:
     over_200mm : share of frames in which it, or any point, is farther off. rmse_mm : thesis eq. 7.3, corrected (it sums
     signed differences, so that +10 and -10 mm would cancel to 0); of all the mean of the points' own, the last line of
     Table 7.2. ..._without_offset : after each point's constant offset in the pelvis frame is taken out: where
-    truth and stick figure mean different places by "shoulder" or "hip", that part says nothing about tracking, and the
+    truth and stick figure mean different places by "shoulder" or "hip", that part is not the tracker's error, and the
     covariance is about our own definition of the points (docs/points.md).
-    inside_95 : share of errors inside the 95 % ellipsoid that the track states. nees : mean of :func:`nees_of`, 3 when
+    inside_95 : share of errors inside the track's 95 % ellipsoid. nees : mean of :func:`nees_of`, 3 when
     the covariance is right, more for an overconfident track (Bar-Shalom, Li & Kirubarajan, Estimation with Applications
     to Tracking and Navigation, 5.4).
     """

@@ -72,7 +72,7 @@ class SimulatedCamera:
         self.loop.call(self._power_off)
 
     def power_on(self) -> None:
-        """Starts anew: registers as after power-on, a new clock, nobody in control."""
+        """Restarts: registers as after power-on, a new clock, nobody in control."""
         self.loop.call(self._power_on)
 
     @property

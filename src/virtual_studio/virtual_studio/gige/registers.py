@@ -100,7 +100,7 @@ class Registers:
     """Big-endian registers, one a feature. Clients come by address, the camera itself by name.
 
     A client's write is checked against access and limits, then by ``checks[name]`` (which may raise RegisterError), and
-    when it stands, ``writes[name]`` is called. ``reads[name]`` makes the value anew whenever a client reads it.
+    then ``writes[name]`` is called. ``reads[name]`` computes the value whenever a client reads it.
     Registers of the standard that no row describes read as zero.
     """
 

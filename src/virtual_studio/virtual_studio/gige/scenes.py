@@ -125,7 +125,7 @@ class Playback:
         return float(self._fps)
 
     def play(self, at_ns: int | None = None, loop: bool = True) -> int:
-        """Begins anew: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
+        """Restarts: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
 
         It is rounded to a whole multiple of the frame period, where free-running cameras expose. Before, frame 0 is
         seen; without ``loop`` the last frame stays.
