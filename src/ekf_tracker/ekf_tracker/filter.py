@@ -93,7 +93,7 @@ class ArticulatedEkf:
     def step_measured(
         self, stamp_ns: int, z: Measurement, doubtful: np.ndarray = NONE, moved: np.ndarray = NONE
     ) -> BodyState | NoState:
-        """Do the same with a measurement that was checked."""
+        """Predict and update with a checked measurement."""
         if self.body is None:
             return NoState(stamp_ns, NO_BODY)
         if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:

@@ -49,7 +49,7 @@ def check_problem(
     alike: Collection[str],
     intrinsics_sd: Mapping[str, Sequence[float]],
 ) -> Problem:
-    """Put the input in an order that does not depend on the order given; InputError for images of another size than
+    """Sort the input, independent of its order; InputError for images of another size than
     the camera's lens was calibrated for."""
     models = {name: cameras[name] for name in sorted(cameras)}
     ordered = tuple(sorted(detections, key=lambda s: (s.target, s.frame_index, s.camera)))

@@ -146,7 +146,7 @@ def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
 
 
 def rename(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
-    """Give a take another name."""
+    """Rename a take."""
     print(f"{name} is now {folder.rename(name, args.name).name}")
     return 0
 

@@ -259,7 +259,7 @@ def wire_bytes(payload: int, packet_size: int) -> int:
 
 
 def read_register(address: str, register: int) -> int | None:
-    """Ask a camera for one register, by unicast only; None when it does not answer or has none there."""
+    """Read one register of a camera, by unicast only; None when it does not answer or has none there."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(ANSWER_TIMEOUT_S)
         for request in range(1, ATTEMPTS + 1):

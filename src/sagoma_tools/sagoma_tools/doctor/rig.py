@@ -52,7 +52,7 @@ class RigView:
 
     @classmethod
     def of(cls, rig: Rig, path: Path) -> RigView:
-        """Look at the volume's standing places through every camera."""
+        """Compute every camera's view of the volume's standing places."""
         low, high = rig.volume.low, rig.volume.high
         x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
         places = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1).reshape(-1, len(BODY_LEVELS_M), 3)

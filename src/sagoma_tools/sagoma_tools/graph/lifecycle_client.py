@@ -100,7 +100,7 @@ class LifecycleClient:
     def _change(
         self, ways: Mapping[str, tuple[LifecycleState, LifecycleState]], timeout_s: float | None, outcome: Outcome
     ) -> dict[str, LifecycleState]:
-        """Ask each node for the transition between its two states; returns those that acknowledged and their states."""
+        """Request each node's transition between its two states; return those that acknowledged and their states."""
         requests = {name: ChangeState.Request() for name in ways}
         for name, way in ways.items():
             requests[name].transition.id = TRANSITIONS[way][1]

@@ -117,7 +117,7 @@ class Child:
         return Usage(memory.rss / MIB, (memory.rss - memory.shared) / MIB, cpu.user + cpu.system)
 
     def interrupt(self) -> None:
-        """Ask it to stop (SIGINT)."""
+        """Interrupt it (SIGINT)."""
         self._stopping = True
         if self.alive:
             self._process.send_signal(signal.SIGINT)

@@ -247,7 +247,7 @@ def default_comparison(bag: str | Path) -> tuple[str, ...]:
 
 
 def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> str:
-    """Say where two bags first differ on a topic, undefined bytes apart: message and byte; empty when all agree."""
+    """Return the first difference of two bags on a topic, undefined bytes apart: message and byte; "" for none."""
     pairs = zip_longest(*(read_messages(bag, topic.__eq__) for bag in (bag_a, bag_b)))
     for number, (a, b) in enumerate(pairs):
         if a is None or b is None:

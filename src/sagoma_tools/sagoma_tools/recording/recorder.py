@@ -235,7 +235,7 @@ def rig_of(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
 
 
 def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> dict[str, dict[str, Any]]:
-    """Ask running nodes for their parameters: full name -> parameters; a node that does not answer is left out.
+    """Read the parameters of running nodes: full name -> parameters, without nodes that do not answer.
 
     ``node`` must be spun by another thread.
     """

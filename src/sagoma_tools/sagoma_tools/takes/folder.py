@@ -85,7 +85,7 @@ class TakesFolder:
         return path
 
     def rename(self, name: str, new_name: str) -> Path:
-        """Give a take another name. Raises InputError for a bad or taken name, and while it is being recorded."""
+        """Rename a take. Raises InputError for a bad or taken name, and while it is being recorded."""
         return self._settled(name).path.rename(self._free(new_name))
 
     def delete(self, name: str) -> DeletedTake:

@@ -215,7 +215,7 @@ def remark(take: Take) -> str:
 
 
 def origin(take: Take) -> str:
-    """Say of which take it is a part; empty for a whole one."""
+    """Return in words the take that it is a part of; empty for a whole one."""
     part = take.trimmed_from
     if part is None:
         return ""

@@ -183,7 +183,7 @@ class GraphPanel:
         return self.live.figures()
 
     def show(self) -> None:
-        """Say how every node is; draw the cameras' newest pictures."""
+        """Show every node's state and the cameras' newest pictures."""
         self._states.content = states_html(self.live.reports(), time.monotonic())
         if self._pictures.value:
             self.live.draw_pictures(self._gui, self._picture_folder)

@@ -160,7 +160,7 @@ class DrawnPerson:
         self._label.position = figure.points_world[HEAD][0] + NAME_ABOVE
 
     def remove(self) -> None:
-        """Take the person out of the scene."""
+        """Remove the person from the scene."""
         for node in (self._joints, self._head, self._bones, self._label):
             node.remove()
 

@@ -88,7 +88,7 @@ class CameraClock:
 
 
 class Acquisition:
-    """Takes one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop.
+    """Acquires one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop.
 
     Exposures begin at instants of the studio's clock (ns), of all cameras with one rate the same.
     """

@@ -123,7 +123,7 @@ def free_address() -> str:
 
 
 def is_free(address: str) -> bool:
-    """Tells whether a camera can listen at this address."""
+    """Returns whether a camera can bind to this address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, PORT))

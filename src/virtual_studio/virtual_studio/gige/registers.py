@@ -59,7 +59,7 @@ class Feature:
 
 
 def placed(features: list[Feature]) -> tuple[Feature, ...]:
-    """Gives an address to each register that has none."""
+    """Assigns an address to each register without one."""
     found, free = [], FEATURE_SPACE
     for feature in features:
         if feature.address < 0:

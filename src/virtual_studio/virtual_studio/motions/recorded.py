@@ -136,7 +136,7 @@ def _leg(joint: dict[str, Array]) -> float:
 
 
 def is_motion_file(name: str) -> bool:
-    """Tells a motion file's name from that of a built-in motion."""
+    """Returns whether a name is a motion file's, not a built-in motion's."""
     return Path(name).suffix.lower() == SUFFIX
 
 

@@ -119,7 +119,7 @@ def staying(person: VolumetricBody) -> Timeline:
 
 
 def one_after_another(person: VolumetricBody, number: int) -> Timeline:
-    """Takes the T-pose when it is this one's turn, from 0; when all four have, turns round, steps in and back again."""
+    """Holds the T-pose at this person's turn, from 0; when all four have, turns round, steps in and back again."""
     before, after = hold(0.6 + TURN_S * number, STANDING), hold(TURN_S * (3 - number), STANDING)
     steps = turn(2.0 * np.pi), walk(person, 0.2), walk(person, -0.2), hold(1.0, STANDING)
     return Timeline((before, hold(TURN_S, T_POSE_ANGLES), after, *steps), t_pose_s=0.0)

@@ -54,7 +54,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Looks of a session.
+    """Appearance of a session.
 
     seed: of noise and flicker; noise: standard deviation of a pixel, grey levels; flicker: relative deviation of a
     frame's brightness; shadow: on the floor; build: thickness of the body over the average's.
