@@ -6,8 +6,8 @@ MOST = 1000  # characters of a part of the message: values in broken files may b
 class InputError(ValueError):
     """A file, key, topic or value given by the user cannot be used.
 
-    The text reads ``WHERE: WHAT. REMEDY``: where it was found (file, key, topic), what is wrong with it
-    (with the offending value), and what the user can do about it.
+    The text reads ``WHERE: WHAT. REMEDY``: the place (file, key, topic), the fault (with the offending value), and the
+    user's remedy.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:

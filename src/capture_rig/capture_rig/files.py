@@ -146,7 +146,7 @@ def make_folder(folder: str | Path) -> Path:
 
 
 def sync_folder(folder: str | Path) -> None:
-    """Put a folder's names on the disk: after this a new or renamed file is found again after a power cut."""
+    """Flush a folder's entries to the disk, so that a new or renamed file survives a power cut."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):  # file systems that know no such thing (EINVAL)

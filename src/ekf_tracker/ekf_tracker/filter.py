@@ -42,7 +42,7 @@ class ArticulatedEkf:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the state; the next set with a visible torso starts anew."""
+        """Forget the state; the next set with a visible torso starts a new track."""
         self._track: BodyTrack | None = None
         self._stamp_ns: int | None = None
 
@@ -50,7 +50,7 @@ class ArticulatedEkf:
         """Track this body from the next set on.
 
         Refined sizes of the same person keep pose, velocity and their covariance. Sizes that differ by more than the
-        error of a T-pose are another person's: then the filter starts anew.
+        error of a T-pose are another person's: then the filter restarts.
         """
         before = self.body
         if body is before or (before is not None and body_numbers(body) == body_numbers(before)):
@@ -93,7 +93,7 @@ class ArticulatedEkf:
     def step_measured(
         self, stamp_ns: int, z: Measurement, doubtful: np.ndarray = NONE, moved: np.ndarray = NONE
     ) -> BodyState | NoState:
-        """Do the same with a measurement that was checked."""
+        """Predict and update with a checked measurement."""
         if self.body is None:
             return NoState(stamp_ns, NO_BODY)
         if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:

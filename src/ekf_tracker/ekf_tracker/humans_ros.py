@@ -54,7 +54,7 @@ class BodyFrames:
         """A body has left: nothing of it is kept."""
 
     def close(self) -> None:
-        """Take the topic back."""
+        """Close the topic."""
         self._publisher.close()
 
     def _frames(self, body_id: str, state: BodyState, body: Body) -> Iterator[TransformStamped]:
@@ -93,7 +93,7 @@ class HumansPublisher:
             self._bodies[body_id].present(state, body)
 
     def forget(self, body_id: str) -> None:
-        """Take back the topics of a body that has left."""
+        """Close the topics of a body that has left."""
         if (topics := self._bodies.pop(body_id, None)) is not None:
             topics.close()
 

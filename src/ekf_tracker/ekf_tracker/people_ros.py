@@ -130,7 +130,7 @@ class PersonTopics:
         return tracking
 
     def close(self) -> None:
-        """Take the topics back."""
+        """Close the topics."""
         for publisher in self._opened:
             publisher.close()
 
@@ -175,7 +175,7 @@ class PeopleTopics:
         return states[0]
 
     def close(self) -> None:
-        """Take all topics back."""
+        """Close all topics."""
         for topics in (self._first, *self._persons.values()):
             topics.close()
         self._all_skeletons.close()

@@ -6,7 +6,7 @@ With x_k, P_k the filter's estimate after set k, x'_{k+1}, P'_{k+1} its predicti
 
 (Rauch, Tung & Striebel, AIAA Journal 3, 1965; differences in the tangent of the pose, as for the filter itself). So a
 set without points, or with doubtful ones, is filled from both sides, with a covariance that grows with the distance to
-the nearest observed one. Where the filter lost a limb and found it elsewhere, or started anew, nothing passes back.
+the nearest observed one. Where the filter lost a limb and found it elsewhere, or restarted, nothing passes back.
 
 Smoothing does not remove the bias of the points (`bias`); it is added as the filter adds it.
 """

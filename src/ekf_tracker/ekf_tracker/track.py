@@ -102,7 +102,7 @@ class BodyTrack:
 
         A limb whose points the quiet process noise does not explain is taken to accelerate. The state of a limb that
         was found elsewhere, or is farther off than it can have moved since the set before, is released. None when that
-        is the torso: the track has to start anew.
+        is the torso: the track has to be restarted.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)

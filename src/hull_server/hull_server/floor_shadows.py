@@ -1,8 +1,8 @@
 """Separates floor in shadow from the person, with all cameras together.
 
-A camera sends three kinds of foreground (``capture_rig.mask_levels``): sure pixels; candidates, whose texture says that
-they are shadow; and attenuated pixels, which are the person unless other cameras know better. A cast shadow lies on the
-floor z = 0, so all cameras that see a place of the floor see it equally attenuated. A leg stands above the floor: its
+A camera sends three kinds of foreground (``capture_rig.mask_levels``): sure pixels; candidates, shadow by their
+texture; and attenuated pixels, which are the person unless other cameras contradict. A cast shadow lies on the floor
+z = 0, so all cameras that see a place of the floor see it equally attenuated. A leg stands above the floor: its
 pixels fall on other floor places in every camera, bright or differently attenuated ones (the planar homography between
 views of the floor is that of Khan and Shah, ECCV 2006, who find feet with it). So an attenuated pixel becomes a
 candidate when another camera sees its floor place equally attenuated, and no more cameras contradict (bright floor,

@@ -24,8 +24,8 @@ class SilhouetteBatch:
 
     seen (N, H, W) : nonzero where a camera sees. levels (N, H, W) uint8: of ``capture_rig.mask_levels``; BLIND where a
     camera is absent or does not see. flat (N, H * W) : the same, and behind it BLIND for all that is ``outside``.
-    words (N, H, W / 8) uint64: the same, eight pixels to a word. box (N, 4) : left, top, right, bottom of what is
-        shown.
+    words (N, H, W / 8) uint64: the same, eight pixels to a word. box (N, 4) : left, top, right, bottom of all that is
+    not background.
     """
 
     def __init__(self, seen: npt.NDArray[np.uint8], outside: int = 0) -> None:

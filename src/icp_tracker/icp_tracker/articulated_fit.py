@@ -8,11 +8,12 @@ limb is frozen before its descendants are fitted:
               +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2
               +  sum_k rho(reprojection error of keypoint k)  +  |pose (-) start|^2_Lambda
 
-with c_i the foot point on the closest stick, rho Geman-McClure, and Lambda a weak prior that holds what the
-data do not show. Ball joints move on SO(3): no gimbal lock. Elbows and knees may pass straight during the solve (a
-limit there is a saddle that traps arms) and are bent the right way again afterwards, with the same points. Weights are
-equivalent centerline points: a term of weight 900 counts as much as 900 points of the centerline. Rays and voxels err
-alike, keypoints (of whoever has a detector) do not, so the weight of one is OVERCOUNTED times its information.
+with c_i the foot point on the closest stick, rho Geman-McClure, and Lambda a weak prior that holds unobserved joints.
+Ball joints move on SO(3): no gimbal lock. Elbows and knees may pass straight during the solve (a limit there is a
+saddle that traps arms) and are bent the right way again afterwards, with the same points. Weights are equivalent
+centerline points: a term of weight 900 counts as much as 900 points of the centerline. Errors of rays and voxels are
+correlated, those of keypoints (if there is a detector) are not, so the weight of a keypoint is OVERCOUNTED times its
+information.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class ExtrinsicMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was measured."""
+        """Forget all measurements."""
         self.errors = ExtrinsicErrors()
         self._halves = [[_Sums() for _ in self._rig.cameras] for _ in range(2)]
         self._places = np.zeros(4)  # count of measured places, sums of x, of y and of their squares

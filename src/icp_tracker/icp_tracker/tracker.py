@@ -228,7 +228,7 @@ class IcpTracker:
     # --- the first pose
 
     def _acquire(self, seen: HullProducts) -> Fit:
-        """Ask the source for a first pose, and start tracking if it explains enough of the set."""
+        """Find a first pose, and start tracking if it explains enough of the set."""
         found = self._source.find_pose(seen)
         if found.pose is None or found.body is None:
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, found.reason)

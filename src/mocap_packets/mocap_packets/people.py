@@ -1,6 +1,6 @@
-"""What tracker and filter tell each other of everybody in one frame set: one packet each way, whoever is there.
+"""Packets between tracker and filter on everybody in one frame set: one each way.
 
-One packet a set, not one a person: whoever gets it knows that nobody else is there and waits for no other message.
+One packet a set, not one a person: its receiver knows that it is complete and waits for no other message.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ class PersonNode(SagomaNode, ABC):
         self._half_heard.clear()
 
     def _add(self, read: Callable[[Any, str], Any], topic: str, message: Any) -> None:
-        """Take one message of a set; with the other one, hand the set on."""
+        """Add one of a set's two messages; pass on the complete set."""
         if not self._active:
             return
         stamp_ns = to_ns(message.header.stamp)

@@ -56,7 +56,7 @@ class LazyPublisher:
             self._publisher.publish(make(*arguments))
 
     def close(self) -> None:
-        """Take the topic back."""
+        """Close the topic."""
         self._node.destroy_publisher(self._publisher)
 
 

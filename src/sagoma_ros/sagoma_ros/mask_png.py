@@ -40,7 +40,7 @@ def encode(mask: npt.NDArray[np.uint8]) -> bytes:
     depth, most_runs = find_used(words, pixels, _depth_of_level(), used)
     value, count = np.empty(most_runs, np.uint8), np.empty(most_runs, np.int64)
     row_bytes, code = -(-width * depth // 8), run_code(depth)
-    runs = find_runs(pixels.view(np.uint16), used, _packed_pairs(depth), depth, row_bytes, value, count)
+    runs = find_byte_runs(pixels.view(np.uint16), used, _packed_pairs(depth), depth, row_bytes, value, count)
     stream = np.empty(most_bytes(code, height * (1 + row_bytes), runs), np.uint8)
     body = stream[: deflate(value[:runs], count[:runs], code, stream)].tobytes()
     header = _HEADER.pack(width, height, depth, *_GREY_AS_WE_WRITE_IT)
@@ -141,7 +141,7 @@ def find_used(words, pixels, depth_of_level, used):  # type: ignore[no-untyped-d
 
 
 @njit(**OPTIONS)
-def find_runs(pairs, used, packed_pairs, depth, row_bytes, value, count):  # type: ignore[no-untyped-def]
+def find_byte_runs(pairs, used, packed_pairs, depth, row_bytes, value, count):  # type: ignore[no-untyped-def]
     """Find the runs of equal bytes in the rows of a PNG without row filters; return their number.
 
     pairs (h, 4 n) uint16 : two pixels each. used (h, 2) : of :func:`find_used`. packed_pairs (65536,) uint8 : the 2

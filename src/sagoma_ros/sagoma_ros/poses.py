@@ -127,7 +127,7 @@ class FramePublisher:
             self._publisher.publish(lambda: TFMessage(transforms=list(make())))
 
     def close(self) -> None:
-        """Take the topic back."""
+        """Close the topic."""
         if self._publisher is not None:
             self._publisher.close()
 

@@ -102,7 +102,7 @@ def freeze_garbage_collector() -> None:
 
 
 class _Ending:
-    """Takes SIGINT and SIGTERM; rclpy's own handlers would end the context before a node could release anything.
+    """Handles SIGINT and SIGTERM; rclpy's own handlers would end the context before a node could release anything.
 
     A signal raises KeyboardInterrupt, except while the executor spins, which loses track of its entities when it is
     interrupted. There a flag is set, and the interrupt raised BLOCKED_S later if a callback blocks.
@@ -115,7 +115,7 @@ class _Ending:
         signal.signal(signal.SIGALRM, self._insist)
 
     def ignore(self) -> None:
-        """Take no more signals: the process ends."""
+        """Ignore further signals: the process ends."""
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in (*SIGNALS, signal.SIGALRM):
             signal.signal(number, signal.SIG_IGN)

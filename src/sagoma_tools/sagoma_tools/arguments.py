@@ -96,7 +96,7 @@ def parse_settings(texts: list[str]) -> dict[str, Any]:
 
 
 def next_steps(take: str | Path) -> str:
-    """Say what one does with a recording."""
+    """Return what to do next with a recording."""
     return f"look at it: sagoma view {take}    in other programs: sagoma export {take}"
 
 

@@ -1,4 +1,4 @@
-"""The ``sagoma`` command: one subcommand or more a module in ``commands``, loaded when they are asked for."""
+"""The ``sagoma`` command: subcommands in the modules of ``commands``, loaded on demand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", 
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one subcommand; statuses: docs/reference/commands.md. Never a traceback for what a user can cause."""
+    """Run one subcommand; the statuses are those of docs/reference/commands.md. Users' errors never show a traceback."""
     try:
         try:
             return run(list(sys.argv[1:] if argv is None else argv))
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse(error, BAD_INPUT)
     except KeyboardInterrupt:
         return _refuse("interrupted", INTERRUPTED)
-    except BrokenPipeError:  # there is nobody to tell
+    except BrokenPipeError:  # nobody reads the output
         _drop_output()
         return NO_READER
     except OSError as error:  # a file or folder that cannot be used, wherever it was named
@@ -78,7 +78,7 @@ def build_parser(modules: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentP
 
 
 def modules_for(argv: Sequence[str]) -> tuple[str, ...]:
-    """Return the module of the subcommand that is asked for, or all: each takes a second or two to load."""
+    """Return the module of the requested subcommand, or all: each loads in a second or two."""
     return tuple(name for name, commands in COMMANDS.items() if argv and argv[0] in commands) or tuple(COMMANDS)
 
 

@@ -31,7 +31,7 @@ class CommandConsole(Console):
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as rich does, but without markup and highlighting unless asked for: paths hold brackets, too."""
+        """Print as rich does, by default without markup and highlighting, as paths hold brackets, too."""
         if len(objects) == 1 and isinstance(objects[0], str | Text):
             markup, highlight = options.pop("markup", False), options.pop("highlight", False)
             text = objects[0]
@@ -63,9 +63,9 @@ _shown: list[Progress] = []  # that of the present step, on a terminal
 
 
 def doing(what: str, total: int | None = None) -> Callable[..., None]:
-    """Name the present step ("tracking frames") on a terminal; the function returned takes how many of ``total`` are
-    done, or a text. It may be told the total as well, where that is known only later."""
-    console = Console(stderr=True, soft_wrap=True)  # what is printed meanwhile goes through it unchanged
+    """Show the present step ("tracking frames") on a terminal; the returned function updates it with the number done of
+    ``total``, or a text, and, where it was not known before, with the total."""
+    console = Console(stderr=True, soft_wrap=True)  # other output passes through it unchanged
     columns = TextColumn("{task.description}{task.fields[done]}", markup=False), BarColumn(), TimeElapsedColumn()
     progress = Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
     task = progress.add_task(what, total=total, done="")
@@ -109,7 +109,7 @@ ENDED = "ended by Ctrl-C, SIGTERM or --seconds, in order"
 
 
 class CommandHelp(NamedTuple):
-    """Examples of one command, where its usage does not say all; statuses that mean something of their own here."""
+    """Examples of one command, if its usage is not enough; statuses with a meaning of their own."""
 
     examples: tuple[str, ...] = ()
     statuses: Mapping[int, str] = MappingProxyType({})
@@ -170,10 +170,10 @@ HELP: Mapping[str, CommandHelp] = {
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose errors say where the options are listed."""
+    """A parser whose errors name the help."""
 
     def error(self, message: str) -> NoReturn:
-        """Print what is wrong and where to look, and exit."""
+        """Print the error and the help's command, and exit."""
         self.exit(BAD_INPUT, f"sagoma: {message} (arguments of `{self.prog}`). See `{self.prog} --help`.\n")
 
 
@@ -194,7 +194,7 @@ def describe(parser: argparse.ArgumentParser) -> None:
 
 
 def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tuple[str, argparse.ArgumentParser, str]]:
-    """Yield every command that runs by itself: its name ("takes list"), its parser, and what the list says of it."""
+    """Yield every command that runs by itself: its name ("takes list"), its parser, and its line in the list."""
     for action in parser._actions:
         if not isinstance(action, argparse._SubParsersAction):
             continue

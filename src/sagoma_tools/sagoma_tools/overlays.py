@@ -123,7 +123,7 @@ MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
 
 def captioned(sheet: np.ndarray, text: str, sure: bool | None) -> np.ndarray:
     """Return a sheet under a bar with a line of text, made smaller where it would not fit; sides are even, as codecs
-    need it. sure : whether what is drawn is tracked, which colours the text; None where nobody is."""
+    need it. sure : whether the drawn person is tracked, which colours the text; None without a person."""
     width, font = sheet.shape[1], cv2.FONT_HERSHEY_SIMPLEX
     colour = GREY_BGR if sure is None else GOOD_BGR if sure else UNSURE_BGR
     needed = cv2.getTextSize(text, font, 0.8, 2)[0][0]

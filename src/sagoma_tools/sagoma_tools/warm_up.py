@@ -1,7 +1,7 @@
-"""Compiles into the cache every numerical kernel of a live capture by what its nodes do before their first frame.
+"""Compiles into the cache every numerical kernel of a live capture, by the nodes' own warm-up.
 
-Run by the set-up: without it the first start of each node would take half a minute. What else has kernels (calibration,
-the thesis's method, exports, simulated cameras) compiles them when it is first used.
+Run by the set-up: without it the first start of each node would take half a minute. Other kernels (calibration, the
+thesis's method, exports, simulated cameras) are compiled when they are first used.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def main() -> int:
     import_module("capture_rig.kernel")  # numba: once, for all processes
     parts = (compile_fit, compile_hull, compile_cameras, compile_filter)
     processes = min(len(parts), len(os.sched_getaffinity(0)))
-    # without the collector, which looks through all that the compiler holds, again and again: a fifth of the time
+    # without the collector, which would visit the compiler's objects again and again: a fifth of the time
     with ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), gc.disable) as pool:
         for part in [pool.submit(part) for part in parts]:
             part.result()

@@ -149,12 +149,12 @@ MIRROR_Y = np.array([1.0, -1.0, 1.0])
 
 
 Waypoint = tuple[Array, float]
-"""A pose (4, 4) in which a board rests for REST_S, and how long it takes on the way there, s."""
+"""A pose (4, 4) in which a board rests for REST_S, and the time of the way there, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wave:
-    """A board's path (T_world_board), how long it takes, s, and the middles of its rests (r,), s."""
+    """A board's path (T_world_board), its duration, s, and the middles of its rests (r,), s."""
 
     path: PosePath
     duration_s: float
@@ -301,8 +301,8 @@ INWARD_STEPS = 101  # from a pixel of a folded corner to the middle: four pixels
 
 
 def _outermost_ray(camera: CameraModel, pixel: Array) -> Array:
-    """Return (3,) the direction, world frame, of a pixel; where the lens model has none, of the next one that has on
-    the way to the principal point."""
+    """Return the direction (3,), world frame, of a pixel; where the lens model has none, of the next pixel with one
+    towards the principal point."""
     centre = camera.K[:2, 2]
     rays = camera.rays_world(centre + np.linspace(1.0, 0.0, INWARD_STEPS)[:, None] * (pixel - centre))
     return np.asarray(rays[np.isfinite(rays).all(axis=1)][0])

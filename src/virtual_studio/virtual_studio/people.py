@@ -60,7 +60,7 @@ class Capsules(NamedTuple):
 
 
 def together(*bodies: Capsules) -> Capsules:
-    """Returns the parts of several bodies as one thing to look at."""
+    """Returns the parts of several bodies as one."""
     return Capsules(*(np.concatenate(parts) for parts in zip(*bodies, strict=True)))
 
 
@@ -127,8 +127,8 @@ class VolumetricBody:
     def contact_spheres(self, pose: Pose) -> tuple[Array, Array]:
         """Returns the spheres that may rest on the floor: centres (c, 3) m in the world, radii (c,) m.
 
-        The first two stand for the feet: ankles, as high above the floor as of a standing person, or higher where a
-        calf lies so low that its foot reaches farther down. The others end the parts above the knees.
+        The first two are the feet: ankles, as high above the floor as of a standing person, or higher where a calf lies
+        so low that its foot reaches farther down. The others end the parts above the knees.
         """
         G, A, B = _frames(self.body, pose)
         A[TORSO] = pose.position_world
@@ -173,9 +173,9 @@ class VolumetricBody:
 
 
 def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
-    """Returns a body of this standing height, m, with arms and legs so many times as long as the average's.
+    """Returns a body of this standing height, m, with factors of the average lengths of arms and legs.
 
-    The torso takes up what the legs leave of the stature.
+    The torso fills the rest of the stature.
     """
     average = Body.from_stature(stature_m)
     halves = average.half_lengths.copy()
@@ -272,8 +272,8 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 MEAN_SHADING = 0.62
-"""Light that an upright body of albedo 1 reflects on average (`rendering.capsules.lambert`); the room is painted with
-what it reflects, so clothes of the room's colour have its grey over this as their albedo."""
+"""Light that an upright body of albedo 1 reflects on average (`rendering.capsules.lambert`); the room's greys are
+reflected light, so clothes of the room's colour have its grey over this as their albedo."""
 SKIN_BGR, HAIR_BGR = (0.72, 0.93, 1.35), (0.8, 1.0, 1.2)
 """Blue, green and red over grey, each with a mean of 1."""
 
@@ -281,8 +281,8 @@ Bgr = tuple[float, float, float]
 
 
 def cloth(light: float, bgr: Bgr = (1.0, 1.0, 1.0)) -> Array:
-    """Returns the albedo (3,), BGR, of a cloth that reflects so much of the light where walls reflect 0.6, and of its
-    colour with a mean of 1."""
+    """Returns the albedo (3,), BGR, of a cloth by its reflected light where walls reflect 0.6, and its colour with a
+    mean of 1."""
     return light / MEAN_SHADING * np.array(bgr)
 
 
@@ -319,4 +319,4 @@ OUTFITS: Mapping[str, Outfit] = {
     "light": Outfit(cloth(0.84), cloth(0.88), cloth(0.78, (0.92, 1.0, 1.08)), cloth(0.70)),
     "room": Outfit(cloth(0.60), cloth(0.60), cloth(0.55, (0.74, 0.98, 1.28)), cloth(0.52, (0.74, 0.98, 1.28))),
 }
-"""By how they look in the studio's room, whose walls reflect 0.6 and whose floor, brown, 0.55."""
+"""By their contrast in the studio's room, whose walls reflect 0.6 and whose floor, brown, 0.55."""

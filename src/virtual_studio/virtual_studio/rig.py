@@ -64,7 +64,7 @@ def tilted(camera: CameraModel, up_rad: float) -> CameraModel:
 
 
 def narrowed(camera: CameraModel, factor: float) -> CameraModel:
-    """Return the camera with so many times the focal length."""
+    """Return the camera with its focal length scaled."""
     K = camera.K.copy()
     K[:2, :2] *= factor
     return replace(camera, K=K)
@@ -97,7 +97,7 @@ FLOOR, CEILING = 4, 5
 WALL_GREYS = (0.64, 0.59, 0.67, 0.62)
 FLOOR_GREY, CEILING_GREY = 0.56, 0.72
 DOOR_Y_M, DOOR_HEIGHT_M, CORRIDOR_GREY = (0.6, 1.5), 2.05, 0.22
-"""The door of wall +x, and what is behind it."""
+"""The door of wall +x, and the space behind it."""
 TINTS_BGR = np.array(
     [
         [1.06, 1.01, 0.93],
@@ -114,10 +114,10 @@ TINTS_BGR = np.array(
 
 @dataclass(frozen=True, eq=False)
 class RoomView:
-    """What a camera sees of the empty room.
+    """A camera's view of the empty room.
 
-    rays (h, w, 3) unit viewing directions, world frame; grey (h, w) reflected light 0..1; floor_xy (h, w, 2) where
-    the pixel meets the floor, metres, NaN elsewhere; surface (h, w) the number of what is seen, a row of `TINTS_BGR`.
+    rays (h, w, 3) unit viewing directions, world frame; grey (h, w) reflected light 0..1; floor_xy (h, w, 2) the
+    pixel's place on the floor, metres, NaN elsewhere; surface (h, w) the surface's number, a row of `TINTS_BGR`.
     """
 
     rays: Array

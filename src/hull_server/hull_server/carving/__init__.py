@@ -13,8 +13,8 @@ from .cpu_carver import CpuCarver
 def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> tuple[CarveBackend, str]:
     """Make backend ``kind``; also return the reason for it, a sentence for the log.
 
-    "auto" takes OpenGL compute where hardware offers it, and the CPU otherwise: software OpenGL is several times slower
-    than the CPU backend. Raises InputError when "gl" or "sweep" is asked for and no OpenGL 4.3 context can be had.
+    "auto" is OpenGL compute where hardware offers it, and the CPU otherwise: software OpenGL is several times slower
+    than the CPU backend. Raises InputError for "gl" or "sweep" without an OpenGL 4.3 context.
     """
     if kind == "cpu":
         return CpuCarver(views, grid), "the CPU backend was asked for"
@@ -36,7 +36,7 @@ def _make_gl(kind: str, views: RigViews, grid: VoxelGrid) -> CarveBackend:
         from ..thesis_plane_sweep import PlaneSweepCarver
     except ImportError as error:
         raise NoGraphics(f"PyOpenGL cannot be imported ({error}); pip install PyOpenGL") from None
-    except (AttributeError, TypeError) as error:  # how PyOpenGL says that it found no OpenGL library
+    except (AttributeError, TypeError) as error:  # PyOpenGL's exceptions without an OpenGL library
         raise NoGraphics(f"PyOpenGL finds no libOpenGL.so.0 ({error}); apt install libopengl0") from None
     if kind == "sweep":
         return PlaneSweepCarver(views, grid)

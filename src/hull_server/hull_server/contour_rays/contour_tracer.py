@@ -119,7 +119,7 @@ def trace_contour_rays(mask, levels, camera, hull, weights, limits, scratch):  #
     box = _image_box(camera.P, hull, mask.shape)
     picked = pick_contour_pixels(mask, box, scratch, (LEAST_RAYS * spacing_px, spacing_px), pixels)
     for u, v in pixels[:picked]:
-        # the edge to a fraction of a pixel; none where silhouettes are cut at the border of what the camera sees
+        # the edge to a fraction of a pixel; none where silhouettes are cut at the border of the view
         if camera.clear[v, u] != 0:
             is_edge, edge = find_edge(mask, u, v, weights)
             if is_edge:

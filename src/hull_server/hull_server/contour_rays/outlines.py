@@ -1,4 +1,4 @@
-"""Follows the outlines of a silhouette, samples them evenly, and finds the edge at each sample to a fraction of a
+"""Traces the outlines of a silhouette, samples them evenly, and finds the edge at each sample to a fraction of a
 pixel.
 
 An outline runs along cracks, the sides between a foreground and a background pixel, with the foreground on its right;

@@ -19,7 +19,7 @@ from mocap_packets.hull import Centerline
 
 from ..grid import Array, BrickVolume, VoxelGrid
 from ..settings import BlobSettings
-from .voxel_runs import HullRuns, brick_box, find_runs, join_in_slices, join_in_space, pack_rows, run_at
+from .voxel_runs import HullRuns, brick_box, find_bit_runs, join_in_slices, join_in_space, pack_rows, run_at
 
 GROWTH_STEP_M = 0.02  # least distance of the slices that a blob's growth compares; at least a voxel
 
@@ -87,7 +87,7 @@ def _slice(index, leaves, bricks_x, bricks_y, step):  # type: ignore[no-untyped-
     low = 8 * np.array([box[0], box[1], box[2]])
     along_x, along_y = pack_rows(index, leaves, bricks_x, bricks_y, box)
     layers, rows, columns = along_x.shape[0], along_x.shape[1], along_y.shape[1]
-    runs, runs_y = find_runs(along_x), find_runs(along_y)
+    runs, runs_y = find_bit_runs(along_x), find_bit_runs(along_y)
     starts, ends, first, _ = runs
     joined_z, joined_y = join_in_slices(runs, rows, False), join_in_slices(runs, rows, True)
     part = join_in_space(joined_z, joined_y)
@@ -116,7 +116,7 @@ def sum_blobs(runs, joined, layers, rows, across_layers, step):  # type: ignore[
     labels, forest = joined
     sums, voxel = _sum_labels(starts, ends, first, filled, rows, across_layers, labels, forest.size)
     blob_of_label, count = np.empty(forest.size, np.int32), 0
-    for label in range(forest.size):  # a root is the smallest label of its tree: what is written was read before
+    for label in range(forest.size):  # a root is the smallest label of its tree, so rows are read before written
         if forest[label] == label:
             blob, count = count, count + 1
             for k in range(6):
@@ -210,7 +210,7 @@ def shape_of(area, uu, vv, uv):  # type: ignore[no-untyped-def]
     ellipse with the same second moments: 1 for an ellipse, 0.95 for a rectangle, less for a blob that is not convex or
     that merges two, whose centroid may lie outside of it (thesis 3.2).
     """
-    of_voxel = 1.0 / 12.0  # variance of a unit interval: what a blob of a single voxel has along each side
+    of_voxel = 1.0 / 12.0  # variance of a unit interval, that of a single voxel along each side
     middle = (uu + vv) / 2 + of_voxel
     radius = np.sqrt(((uu - vv) / 2) ** 2 + uv**2)
     larger, smaller = middle + radius, max(middle - radius, of_voxel / 2)

@@ -95,7 +95,7 @@ def sides(words, s, r, w):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def find_runs(words):  # type: ignore[no-untyped-def]
+def find_bit_runs(words):  # type: ignore[no-untyped-def]
     """Find the runs of set bits of rows (layers, rows, words).
 
     Returns starts (m,), ends (m,) (exclusive), the first run of each row (layers * rows + 1,), and the rows that have
@@ -134,7 +134,7 @@ def find_runs(words):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def join_in_slices(runs, rows, across_layers):  # type: ignore[no-untyped-def]
-    """Join the runs of :func:`find_runs` that touch in a slice: label (m,) of each run, and the forest (n,) of labels.
+    """Join runs of :func:`find_bit_runs` that touch in a slice: label (m,) of each run, and the forest (n,) of labels.
 
     Runs of one slice that touch in neighbouring rows, also diagonally, get labels of one tree. A slice is a layer, or
     with ``across_layers`` the rows of one number in all layers.

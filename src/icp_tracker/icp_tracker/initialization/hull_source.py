@@ -267,7 +267,7 @@ class HullSource:
         return best if seen.cut else next(asked, best)
 
     def _hold(self, seen: InitializationObservation, pose: Pose) -> str:
-        """Count the sets in a row that show the requested pose, held still; return what is wrong with it."""
+        """Count the sets in a row that show the requested pose, held still; return its fault in words."""
         stick, off = farthest_stick(seen.body, pose, self._asked)
         if seen.cut or off >= T_POSE_RAD:
             self._held = []

@@ -1,4 +1,4 @@
-"""Which first pose to start from, as settings: of a T-pose, of whoever moves, of either, of a file."""
+"""Settings of the first pose's source: a T-pose, somebody who moves, either, or a file."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """One discrete Bayes filter for the pose of the whole body: as tracked, or one alternative.
 
 The body is judged by the share of the contour rays that it explains. One alternative pose, turned round, with left and
-right exchanged, or found anew in the hull, is fitted to every set beside the tracked one while it may be right. Log
-odds are forgotten exponentially, as those of the limbs (:mod:`.limb_filter`).
+right exchanged, or a new one in the hull, is fitted to every set beside the tracked one while it may be right. Log odds
+are forgotten exponentially, as those of the limbs (:mod:`.limb_filter`).
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """One discrete Bayes filter for each limb: as tracked, at another place that the search found or did not, or unseen.
 
-All evidence is counted in independent samples, cells of the limb's surface whose rays a place, and nothing else of the
-body, explains; each is worth a nat. A limb in the wrong place explains a few by chance, a right one a dozen, with three
-cameras as with eight. The evidence for another place is what it explains beyond the tracked one; for a place that the
-search did not find, what is left over within reach, for there the limb must show; against "unseen" what the tracked one
-explains. Chance lasts as long as the body holds still, so that sets close to each other in time are one observation:
-log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model uncertainty via dynamic model
-averaging, Technometrics 52, 2010), by stamps, the same at any rate.
+All evidence is counted in independent samples: cells of the limb's surface with rays that the limb's place explains and
+the rest of the body does not; each is worth a nat. A limb in the wrong place explains a few by chance, a right one a
+dozen, with three cameras as with eight. Evidence for another place is its samples beyond those of the tracked one; for
+a place that the search did not find, the unexplained samples within reach, where the limb must show; against "unseen"
+the samples of the tracked place. Chance lasts as long as the body holds still, so that sets close to each other in time
+are one observation: log odds are forgotten exponentially (Raftery, Karny & Ettler, Online prediction under model
+uncertainty via dynamic model averaging, Technometrics 52, 2010), by stamps, the same at any rate.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SET_NATS = 4.0  # one set in 50 is torn, so none counts more than ln 50 for or a
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.50  # probability of another place, or of none
 UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
-ELSEWHERE_M = 0.25  # a place whose elbow or hand is so far off is another one: the track may then be 0.2 m wrong
+ELSEWHERE_M = 0.25  # least distance of elbow or hand at another place: the track may then be 0.2 m wrong
 UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
 
 

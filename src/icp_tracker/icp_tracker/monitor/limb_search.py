@@ -175,7 +175,7 @@ def farther_apart(ends, others):
 
 @njit(cache=True)
 def _place_limb(posed, figure, limb):
-    """Place the limb's sticks and surface anew; ``posed`` shares the state's arrays."""
+    """Update the limb's sticks and surface; ``posed`` shares the state's arrays."""
     pose, frames = (posed.t0, posed.R0, posed.RJ, posed.hinges), (posed.G, posed.axes, posed.A, posed.B)
     kernels.move_limb(limb.ball, limb.hinge, pose, (figure.lengths, figure.origins), frames)
     place_capsules(posed.surface, posed.G, posed.A, posed.P, posed.Q)
@@ -303,8 +303,8 @@ def unexplained_data(data, matched, state, figure, limb):
 
 @njit(cache=True)
 def _rays_without(rays, match, posed, own):
-    """Return the separation (n,) of the rays from a body without its ``own`` (k,) bool capsules: only rays that were
-    matched to one of these are matched anew."""
+    """Return the separation (n,) of the rays from a body without its ``own`` (k,) bool capsules; only rays that were
+    matched to one of these change."""
     separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
     separation[again] = match_rays(rays_at(rays, again), posed, SLACK_M).separation
     return separation

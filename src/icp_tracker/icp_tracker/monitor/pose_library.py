@@ -23,7 +23,7 @@ WITH_SIDES = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left and righ
 WITH_ARMS = [0, 1, 2, 3, 4, 5, 6, 8, 7, 9, 10, 12, 11, 13, 14]  # elbows and hands exchanged
 WITH_LEGS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 9, 11, 12, 14, 13]  # knees and feet
 HANG = -1.35  # rad, of an arm below the horizontal
-# angles of each side (rad); what is not named is the T-pose's. A step has the other side's arm in front.
+# angles of each side (rad), the others those of the T-pose. A step has the other side's arm in front.
 _STANDING = {"shoulder_x": HANG}
 _FRONT_LEG = {"shoulder_x": HANG, "shoulder_z": 0.35, "hip_y": -0.45, "knee": 0.15}
 _BACK_LEG = {"shoulder_x": HANG, "shoulder_z": -0.35, "elbow": -0.4, "hip_y": 0.25, "knee": 0.5}

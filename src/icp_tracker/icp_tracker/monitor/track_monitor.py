@@ -1,10 +1,10 @@
-"""Monitors a track: judges every fitted pose, tries better ones, and says when to change over.
+"""Monitors a track: judges every fitted pose, tries others, and changes over to better ones.
 
-A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a wide hull, a body
-that faces backward, both are local optima that no prior leaves. So other poses are tried, a few every frame set: places
-of one limb, the body turned round, and when all is lost, stances anywhere in the hull. Each limb has a discrete Bayes
-filter over its places (:mod:`.limb_filter`), and so has the whole body over its pose and another (:mod:`.body_filter`).
-What is more probable than the tracked pose takes over; what is nearly as probable makes the track doubtful.
+A fit finds the nearest local optimum, which need not be the best: an arm that was lost in a wide hull, or a body that
+faces backward, stays. So other poses are tried, a few every frame set: places of one limb, the body turned round, and
+when all is lost, stances anywhere in the hull. Each limb has a discrete Bayes filter over its places
+(:mod:`.limb_filter`), and so has the whole body over its pose and another (:mod:`.body_filter`). A pose that is more
+probable than the tracked one replaces it; one that is nearly as probable makes the track doubtful.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class RecoverySettings:
 
 @dataclass(frozen=True, eq=False)
 class TrackAssessment:
-    """How good a fitted pose is; a better one to change over to, if any, and what it changes, in words and as parts
-    (5,) of the body.
+    """Quality of a fitted pose; a better one to change over to, if any, with its changes in words and as parts (5,) of
+    the body.
 
-    spread (15, 3, 3) m^2 : of where the points of doubtful parts may be about where they are fitted. unseen (15,)
+    spread (15, 3, 3) m^2 : second moment of the points of doubtful parts about where they are fitted. unseen (15,)
     bool : points that nothing in the last sets shows.
     """
 
@@ -72,7 +72,7 @@ class TrackMonitor:
     def reset(self) -> None:
         """Forget all beliefs about the body."""
         self._beliefs: list[LimbBelief | None] = [None] * len(LIMBS)
-        self._hidden = np.zeros(len(LIMBS), bool)  # limbs that reach beyond what the cameras show
+        self._hidden = np.zeros(len(LIMBS), bool)  # limbs that reach out of the cameras' view
         self._body = BodyFilter()
         self._last_stamp_ns: int | None = None
         self._turn = 0

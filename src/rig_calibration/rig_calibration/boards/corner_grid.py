@@ -177,5 +177,5 @@ def turned(grid: CornerGrid, quarter_turns: int) -> CornerGrid:
 
 
 def is_black_first(grid: CornerGrid) -> bool:
-    """Tell whether the field up-left of the first corner is black."""
+    """Return whether the field up-left of the first corner is black."""
     return float(np.nansum(grid.contrast * parity(grid.contrast.shape))) < 0

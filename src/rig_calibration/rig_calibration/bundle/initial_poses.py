@@ -193,8 +193,8 @@ def _vote(seen: Sequence[tuple[TargetView, Array]]) -> tuple[Array | None, list[
 
 
 class _Allowed(NamedTuple):
-    """The poses (h, 4, 4) that one observation allows, weights (h,) by how well each fits beside the best, and the
-    distance (h,) of what was seen, m."""
+    """The poses (h, 4, 4) that one observation allows, weights (h,) by their fit beside the best, and the target's
+    distance (h,), m."""
 
     T: Array
     weight: Array

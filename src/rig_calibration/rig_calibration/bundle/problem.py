@@ -49,7 +49,7 @@ def check_problem(
     alike: Collection[str],
     intrinsics_sd: Mapping[str, Sequence[float]],
 ) -> Problem:
-    """Put the input in an order that does not depend on the order given; InputError for images of another size than
+    """Sort the input, independent of its order; InputError for images of another size than
     the camera's lens was calibrated for."""
     models = {name: cameras[name] for name in sorted(cameras)}
     ordered = tuple(sorted(detections, key=lambda s: (s.target, s.frame_index, s.camera)))
@@ -113,7 +113,7 @@ def shapes_of(targets: Mapping[str, npt.ArrayLike], alike: Collection[str] = ())
 #
 # A plane seen by a camera has two poses that fit, mirror images of each other about the line of sight (Collins and
 # Bartoli 2014, "Infinitesimal Plane-based Pose Estimation"); a small or distant board leaves both possible. A target
-# that looks alike after half a turn doubles them. All are kept until other cameras or frames tell.
+# that looks alike after half a turn doubles them. All are kept until other cameras or frames decide.
 
 MIN_CORNERS = 4
 

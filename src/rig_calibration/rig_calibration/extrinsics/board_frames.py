@@ -118,7 +118,7 @@ def lying_frames(
 
 
 def _rests(one: Sequence[TargetDetection], other: Sequence[TargetDetection]) -> bool:
-    """Do all cameras that saw the board both times see it at the same place, and is there one?"""
+    """Return whether some camera saw the board both times, and all such cameras at the same place."""
     ways = []
     for a, b in ((a, b) for a in one for b in other if a.camera == b.camera):
         _, here, there = np.intersect1d(a.ids, b.ids, return_indices=True)

@@ -37,7 +37,7 @@ Sources: TypeAlias = "FootageSources | LiveSources"
 
 
 def calibrate_extrinsics(request: RigRequest, sources: Sources, console: Console) -> RigCalibration:
-    """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
+    """Detect, solve, print, write. Raises InputError with the remedy for an unsolvable rig."""
     points = None if request.floor_points is None else read_floor_points(request.floor_points)
     names = {*sources.names, *(points.seen if points else ())} - set(request.without)
     cameras = read_intrinsics(request.intrinsics, names)
@@ -51,7 +51,7 @@ def calibrate_extrinsics(request: RigRequest, sources: Sources, console: Console
     if request.floor_board is not None:
         target = Target.of(request.floor_board, request.choice)
         seen = detections_of(floor)
-        if set(corners) >= {detection.camera for detection in seen}:  # their order tells which way round the board lies
+        if set(corners) >= {detection.camera for detection in seen}:  # their order gives the way round the board lies
             target = replace(target, looks_alike=False)
         inputs.add_floor(seen, request.floor_board, target)
     if request.board is not None and (carried := detections_of(moving)):
@@ -199,7 +199,7 @@ def _floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | 
 
 
 def _numbers(text: str, count: int | None, where: str, example: str) -> list[float]:
-    """Return numbers that commas part, none farther from 0 than a rig may reach, metres."""
+    """Return comma-separated numbers, metres, none larger than a rig may be."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

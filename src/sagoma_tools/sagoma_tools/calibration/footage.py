@@ -59,7 +59,7 @@ class CameraFootage:
 
     @property
     def fps(self) -> float:
-        """Frame rate of a video, by its header; 0 for stills, and where the header tells no rate that a camera has."""
+        """Frame rate of a video by its header; 0 for stills, and if the header has no camera's rate."""
         with closing(self._reader()) as reader:
             return reader.fps
 
@@ -85,7 +85,7 @@ class CameraFootage:
 
 
 def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
-    """Footage by camera, in the order of the names. InputError for what does not exist, is empty, or gives a camera
+    """Footage by camera, in the order of the names. InputError for missing or empty footage, or a camera given
     twice."""
     found: dict[str, tuple[str, list[Path]]] = {}
     for source in sources:
@@ -130,7 +130,7 @@ def _cameras_of(source: str) -> list[tuple[str, list[Path]]]:
 
 
 def _inside(path: Path, source: str) -> list[Path]:
-    """Return what is in a folder or fits a pattern, in natural order; else the one file, which has to be footage."""
+    """Return the files in a folder or of a pattern, in natural order; else the one file, which has to be footage."""
     if path.is_dir() or any(mark in path.name for mark in "*?["):
         inside = path.iterdir() if path.is_dir() else path.parent.glob(path.name)
         return sorted(inside, key=lambda entry: natural_sort_key(entry.name))

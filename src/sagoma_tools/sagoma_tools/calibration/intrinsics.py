@@ -28,9 +28,9 @@ from ..console import GRADE_STYLE, doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
 
 MAX_EXAMINED = 400  # frames of a video in the first pass
-MAX_THOROUGH = 100  # ... in the second, where the first gave fewer than so many views
+MAX_THOROUGH = 100  # ... in the second, if the first found too few views
 FEW_VIEWS = 12
-FEW_PICTURES = 60  # so few stills were chosen by hand: all are used
+FEW_PICTURES = 60  # up to this many stills were chosen by hand: all are used
 DIAGNOSED = 4  # images that are searched for another board
 PICTURE_DPI = 100
 
@@ -123,7 +123,7 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
 
 
 def remarks(result: Intrinsics) -> Iterable[str]:
-    """Findings, the choice of the lens model, and how many images and corners were left out."""
+    """Return findings, the choice of the lens model, and the numbers of images and corners left out."""
     yield from map(str, result.verdict.findings)
     if result.choice:
         yield f"lens model: {result.choice}"

@@ -57,7 +57,7 @@ def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> 
         save_results(Path(args.output), result, board, args.topic)
         console.print(f"results in {args.output}")
         if args.offer:
-            console.print(f"{name}: {offer(link.node, namespace_of(args.topic), result)}")
+            console.print(f"{name}: {offer(link.node, camera_namespace(args.topic), result)}")
     return result
 
 
@@ -111,7 +111,7 @@ class LiveCamera:
         self.error: Exception | None = None
         self.received = 0
         self._show("waiting for images")
-        self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
+        self._preview = node.create_publisher(CompressedImage, f"{camera_namespace(topic)}/{PREVIEW}", RESULT)
         self._worker: Worker[tuple[Message, int]] = Worker(  # the image, its number
             "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
@@ -150,21 +150,21 @@ class LiveCamera:
         self.changed.set()
 
 
-def namespace_of(topic: str) -> str:
+def camera_namespace(topic: str) -> str:
     """/cam01 of /cam01/image_raw and of /cam01/image_raw/compressed."""
     return topic.removesuffix(COMPRESSED).rpartition("/")[0]
 
 
 def camera_name_of(topic: str) -> str:
     """cam01 of /cam01/image_raw; "camera" of a topic without namespace."""
-    return namespace_of(topic).rpartition("/")[2] or "camera"
+    return camera_namespace(topic).rpartition("/")[2] or "camera"
 
 
 # display --------------------------------------------------------------------------------------------------------------
 
 
 def plain_line(collector: ViewCollector, last: str) -> str:
-    """Return the progress as a line; ``last`` : what came of the last image."""
+    """Return the progress as a line; ``last`` : result of the last image."""
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
     advice = collector.advice() or "enough"
     return f"{collector.camera}: {len(collector)} views; {progress}; {advice} (last image: {last})"

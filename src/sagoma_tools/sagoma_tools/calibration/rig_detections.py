@@ -1,4 +1,4 @@
-"""Finds the board or the wand in the pictures of all cameras; where it cannot, keeps what explains why.
+"""Finds the board or the wand in the pictures of all cameras, and keeps the reasons of failures.
 
 The pictures are files here (:class:`FootageSources`), or those of the running cameras (rig_live.LiveSources).
 """
@@ -29,7 +29,7 @@ from ..console import doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
-"""Of each camera's footage, at most so many frames are examined, evenly spread."""
+"""Frames of each camera's footage, at most, that are searched, evenly spread."""
 MEDIAN_FRAMES = 9
 SAME_RATE = 1e-3  # of the rate: as of a session's videos; 25 and 24.98 drift by a frame in a minute
 MAX_BLUR_PX = 2.5

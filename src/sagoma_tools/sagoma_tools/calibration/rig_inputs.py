@@ -51,15 +51,15 @@ class RigInputs:
     def add_moving(
         self, cameras: Cameras, moving: Sequence[TargetDetection], board: Board, choice: WorldChoice, at: FloorAt | None
     ) -> tuple[int, ...]:
-        """Add the carried board; what it shows ``at`` the frame at which it lies on the floor is the floor target.
-        Returns the frames in which it was taken to lie there."""
+        """Add the carried board; its detections ``at`` the frame at which it lies on the floor are the floor target.
+        Returns the frames in which it was found to lie there."""
         lying = () if at is None else frames_on_floor(cameras, moving, board, at)
         self.add_floor((s for s in moving if s.frame_index in lying), board, Target.of(board, choice))
         self.add_carried([s for s in moving if s.frame_index not in lying], MOVING, Target.of(board))
         return lying
 
     def add_carried(self, carried: Sequence[TargetDetection], name: str, target: Target) -> None:
-        """Add what was carried, in the frames that several cameras share."""
+        """Add the detections of a carried target, in the frames that several cameras share."""
         shared = set(shared_frames(carried))
         if shared:
             self.detections += [detection for detection in carried if detection.frame_index in shared]
@@ -77,8 +77,8 @@ class RigInputs:
 def require_seen(
     cameras: Iterable[str], inputs: RigInputs, searched: Sequence[tuple[str, CamerasDetections, Board | None]]
 ) -> None:
-    """Raises InputError for cameras without a detection, with the reason from what was ``searched`` (kind, detections,
-    the board; None: a wand)."""
+    """Raise InputError for cameras without a detection, with the reason from the ``searched`` pictures (kind,
+    detections, the board; None: a wand)."""
     placed = {detection.camera for detection in inputs.detections}
     unseen, others = sorted(set(cameras) - placed), len(placed) > 1
     if not unseen:

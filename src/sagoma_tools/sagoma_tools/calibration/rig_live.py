@@ -39,7 +39,7 @@ IMAGE_TYPE = "sensor_msgs/msg/Image"
 FLOOR_SHOTS = 5
 
 Ask = Callable[[str], None]
-"""Tells the person what to do and waits until it is done."""
+"""Prompts the person and waits until it is done."""
 
 
 class MotionRecorder:
@@ -66,11 +66,11 @@ class MotionRecorder:
         ]
 
     def progress(self) -> tuple[int, str]:
-        """Return the frames that tie cameras together so far, and what is missing."""
+        """Return the number of frames that tie cameras together so far, and the missing ties."""
         return motion_advice(tuple(self._topics), detections_of(self._found))
 
     def seen(self) -> CamerasDetections:
-        """Return what was found in the pictures of each camera that has delivered any."""
+        """Return the detections of each camera that has delivered pictures."""
         return {name: found for name, found in self._found.items() if found.examined}
 
     def __enter__(self) -> MotionRecorder:

@@ -63,7 +63,7 @@ def write_outputs(
 
 
 def print_report(console: Console, calibrated: RigCalibration) -> None:
-    """Print the figures of cameras and rig, the verdict, and what to measure with a tape."""
+    """Print the figures of cameras and rig, the verdict, and a length to measure with a tape."""
     table = Table(title="cameras", title_justify="left")
     table.add_column("camera")
     for heading, _, _ in FIGURES:
@@ -89,7 +89,7 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
 
 
 def tape_request(calibrated: RigCalibration) -> str:
-    """Return what to measure with a tape: no picture shows whether the print has the stated size."""
+    """Return the length to measure with a tape, as no picture shows whether the print has the stated size."""
     first, *others = calibrated.rig.cameras
     parts = []
     if calibrated.floor_world is not None:

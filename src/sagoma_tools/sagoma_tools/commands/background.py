@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_from_footage(console: Console, sources: Sequence[str]) -> int:
-    """Write VIDEO_background.npz beside every video, and say where it is uncertain; 1 where much of one is."""
+    """Write VIDEO_background.npz beside every video, and print where it is uncertain; 1 where much of one is."""
     worst = 0
     named = (load_session(path).videos.values() if path.is_dir() else [path] for path in map(Path, sources))
     for video in (video for of_source in named for video in of_source):
@@ -188,7 +188,7 @@ def print_outcomes(console: Console, outcomes: Sequence[TrainingOutcome]) -> Non
 
 
 def run_show(args: argparse.Namespace) -> int:
-    """Print where each saved background comes from and what can be found against it, and write its pictures."""
+    """Print origin and findings of each saved background, and write its pictures."""
     console, before = CommandConsole(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)

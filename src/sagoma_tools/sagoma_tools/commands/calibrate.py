@@ -181,7 +181,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
 
 
 def _prompt(console: Console, what: str) -> None:
-    """Tell a person what to do, and wait until it is done where somebody can say so."""
+    """Prompt a person; on a terminal, wait for Enter."""
     if sys.stdin.isatty():
         console.input(f"{what}, then press Enter: ")
     else:

@@ -32,7 +32,7 @@ from ..evaluation.track import REMEDY, explain
 from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 
-TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
+TRACKED = 0.5  # least share of answered sets with a body: the rest precedes the first pose
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
 
@@ -104,7 +104,7 @@ def built_in_session(folder: Path, console: Console) -> Path:
 
 
 def unsound(sets: int, answered: int, tracked: int) -> str:
-    """Say why a capture is not sound, of the sets that the clients sent; empty when it is."""
+    """Return why a capture is not sound, by the sets that the clients sent; empty when it is."""
     if answered < KEPT_UP * sets:
         return f"only {answered} of {sets} frame sets were answered"
     if tracked < TRACKED * answered:
@@ -113,7 +113,7 @@ def unsound(sets: int, answered: int, tracked: int) -> str:
 
 
 def pace(live: LiveRun, cameras: int, fps: float) -> str:
-    """Say which rate the machine held of the cameras', or at which speed their time ran instead."""
+    """Return the share of the cameras' rate that the machine held, or the speed of their time, in words."""
     if live.speed < 1:
         speed = Fraction(live.speed).limit_denominator(1000)
         return f"shown at {speed} of the speed of {cameras} cameras at {fps:g} Hz"
@@ -123,7 +123,7 @@ def pace(live: LiveRun, cameras: int, fps: float) -> str:
 
 
 def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
-    """Say what to do about a capture that is not sound.
+    """Return the remedy for a capture that is not sound.
 
     rate : of the footage, None of cameras; reasons : of each set, why nobody was tracked in it, where that is wrong.
     """

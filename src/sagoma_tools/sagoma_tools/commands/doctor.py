@@ -1,4 +1,4 @@
-"""``sagoma doctor``: what may keep this machine, the rig or the running graph from working, with remedies."""
+"""``sagoma doctor``: faults of this machine, the rig or the running graph, with remedies."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def import_humaneva(args: argparse.Namespace) -> int:
 
 
 def evaluate(args: argparse.Namespace, options: str = "") -> str:
-    """Say how the session is evaluated."""
+    """Return the command that evaluates the session."""
     return f"then: sagoma evaluate {args.output} {options}".rstrip()
 
 

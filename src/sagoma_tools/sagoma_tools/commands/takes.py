@@ -134,7 +134,7 @@ def print_figures(console: Console, summary: Summary) -> None:
 
 
 def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
-    """Print what every check found; 1 when one found an error."""
+    """Print the results of every check; 1 when one found an error."""
     checks = verify(folder.find(name), doing("reading messages"))
     if args.json:
         print(json.dumps([vars(each) for each in checks], indent=1))
@@ -146,7 +146,7 @@ def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
 
 
 def rename(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
-    """Give a take another name."""
+    """Rename a take."""
     print(f"{name} is now {folder.rename(name, args.name).name}")
     return 0
 
@@ -183,7 +183,7 @@ def restore(args: argparse.Namespace) -> int:
 
 
 def show_bin(args: argparse.Namespace) -> int:
-    """Print what is in the bin."""
+    """List the bin."""
     deleted = TakesFolder(Path(args.takes)).deleted()
     for take in deleted:
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.strptime(take.when, "%Y%m%d-%H%M%S"))
@@ -194,7 +194,7 @@ def show_bin(args: argparse.Namespace) -> int:
 
 
 def empty(args: argparse.Namespace) -> int:
-    """Remove what is in the bin for good, when the user says so."""
+    """Empty the bin for good, once the user confirms."""
     folder = TakesFolder(Path(args.takes))
     count = len(folder.deleted())
     if count and not args.yes:
@@ -204,7 +204,7 @@ def empty(args: argparse.Namespace) -> int:
 
 
 def measure_anew(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
-    """Measure a take anew; refused where its files are not those that were recorded."""
+    """Measure a take again; refused if its files are not those that were recorded."""
     take = folder.find(name)
     if take.summary is not None and take.summary.files != digests(take.path):
         remedy = f"See `sagoma takes verify {name}`; bring the take back from a copy."
@@ -238,7 +238,7 @@ def _add_export(subparsers: argparse._SubParsersAction) -> None:
 
 
 def run_export(args: argparse.Namespace) -> int:
-    """Write every person of the take in every format wanted, and print what was written and what a format lost."""
+    """Write every person of the take in every requested format, and print the files and the losses of a format."""
     formats = list(FORMATS) if ALL in args.format else args.format
     take = bag_of(args.take, args.takes)
     folder = Path(args.output) if args.output else take / EXPORTS

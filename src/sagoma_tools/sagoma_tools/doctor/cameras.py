@@ -67,7 +67,7 @@ class CameraFile:
 def examine_camera(path: Path, open_it: bool = False) -> Iterator[CheckResult]:
     """Findings on the parameter file at ``path``, and the camera it names.
 
-    open_it : take control of the camera, set it up as the client would, and report what it says.
+    open_it : take control of the camera, set it up as the client would, and report its state.
     """
     file = read_file(path)
     subject, settings = f"camera {file.name}", file.settings.aravis
@@ -117,7 +117,7 @@ def check_background(file: CameraFile) -> Iterator[CheckResult]:
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings, camera = file.settings, file.camera
     path = settings.background or (settings.background_file if Path(settings.background_file).is_file() else "")
-    if camera is None:  # another check says so
+    if camera is None:  # reported by another check
         return
     if not path:
         yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
@@ -184,7 +184,7 @@ def check_control(settings: AravisSettings, link: Interface | None) -> CheckResu
         return None
     if not privilege:
         return ok("control", "no program controls the camera: it can be opened")
-    owner = read_register(settings.address, bootstrap.PRIMARY_ADDRESS)  # None where the camera does not tell
+    owner = read_register(settings.address, bootstrap.PRIMARY_ADDRESS)  # None where the camera does not answer
     controller = str(ipaddress.IPv4Address(owner)) if owner else "another program"
     if link is not None and controller == link.address:
         text = f"a program on this machine ({controller}) controls the camera"
@@ -194,7 +194,7 @@ def check_control(settings: AravisSettings, link: Interface | None) -> CheckResu
 
 
 def check_bandwidth(sent: Mapping[str, float], link: Interface) -> CheckResult | None:
-    """Whether what all cameras on this interface send, bytes a second, fits its link."""
+    """Whether the data of all cameras on this interface, bytes a second, fit its link."""
     if not sent or not all(sent.values()):  # some rate is left to its camera
         return None
     needed = sum(sent.values())
@@ -210,7 +210,7 @@ def check_bandwidth(sent: Mapping[str, float], link: Interface) -> CheckResult |
 
 
 def check_opened(file: CameraFile) -> Iterator[CheckResult]:
-    """What the camera says once its client's settings are made: features, PTP, temperature."""
+    """The camera's state under its client's settings: features, PTP, temperature."""
     with AravisSource(file.settings.aravis, file.settings.channels) as source:
         for text in source.warnings:
             yield warning("opened.warning", text, "See docs/how-to/camera_pcs.md.")
@@ -229,7 +229,7 @@ def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[i
 
 
 def sent_beside(file: CameraFile, link: Interface) -> dict[str, float]:
-    """Return what the cameras of the file's folder send through this interface, bytes a second, as far as their size is
+    """Return the bytes a second that each camera of the file's folder sends through this interface, if its size is
     known, this camera first; 0 where the settings leave the rate open."""
     found = {file.name: file}
     for path in sorted(file.path.parent.glob("*.yaml")):
@@ -259,7 +259,7 @@ def wire_bytes(payload: int, packet_size: int) -> int:
 
 
 def read_register(address: str, register: int) -> int | None:
-    """Ask a camera for one register, by unicast only; None when it does not answer or has none there."""
+    """Read one register of a camera, by unicast only; None when it does not answer or has none there."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(ANSWER_TIMEOUT_S)
         for request in range(1, ATTEMPTS + 1):

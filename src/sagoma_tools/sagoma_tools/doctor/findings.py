@@ -29,7 +29,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One finding; ``remedy`` is empty where nothing is to be done; ``subject`` is what was examined ("graph")."""
+    """One finding; ``remedy`` is empty where nothing is to be done; ``subject`` : the examined thing ("graph")."""
 
     severity: Severity
     code: str
@@ -71,8 +71,8 @@ CheckResults = CheckResult | Iterator[CheckResult] | None
 
 
 def about(subject: str, *checks: CheckResults) -> Iterator[CheckResult]:
-    """Yield what checks of a subject found, each under its name unless it has one; what a check cannot read or open is
-    an error, by the check's name: "footage.unusable" of ``check_footage``."""
+    """Yield the findings of a subject's checks, with the subject unless they have one; an InputError of a check is an
+    error by the check's name: "footage.unusable" of ``check_footage``."""
     for found in checks:
         try:
             for finding in [found] if isinstance(found, CheckResult) else found or ():
@@ -89,7 +89,7 @@ def exit_status(findings: Sequence[CheckResult]) -> int:
 
 
 def summary(findings: Sequence[CheckResult]) -> str:
-    """Return one line: how many of each, and the first of the gravest ones."""
+    """Return one line: the number of each, and the first of the gravest ones."""
     counts = Counter(finding.severity for finding in findings)
     if not counts[Severity.ERROR] + counts[Severity.WARNING]:
         return f"no errors, no warnings ({counts[Severity.OK]} passed)"

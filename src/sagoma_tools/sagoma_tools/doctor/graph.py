@@ -73,7 +73,7 @@ def _of_node(node: NodeFacts, facts: GraphFacts) -> list[CheckResults]:
 
 
 def check_nodes(facts: GraphFacts) -> Iterator[CheckResult]:
-    """Which nodes are heard, and which of the server are missing."""
+    """Which nodes answer, and which of the server's are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
         others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
@@ -154,7 +154,7 @@ def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[CheckResult]:
 
 
 def check_message(node: NodeFacts, facts: GraphFacts) -> CheckResult | None:
-    """The node's own warning or error, but for what is usual in an empty room."""
+    """The node's own warning or error, except those usual in an empty room."""
     if node.report is None:
         return None
     message, level = node.message, node.report.level[0]
@@ -209,7 +209,7 @@ def check_presence(camera: str, facts: GraphFacts) -> Iterator[CheckResult]:
 def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None) -> Iterator[CheckResult]:
     """Whether its silhouettes arrive, and in time."""
     if not sent.masks:
-        if client is not None and client.state == ACTIVE and client.message != UNCALIBRATED:  # else findings say so
+        if client is not None and client.state == ACTIVE and client.message != UNCALIBRATED:  # else it is a finding
             text = f"its client sends {client.value('rate_hz') or 'none or some'} a second, none arrives here"
             remedy = f"See its message: without a background it sends none. {BIG_MESSAGES}"
             yield error("silhouettes.not_arriving", text, remedy)

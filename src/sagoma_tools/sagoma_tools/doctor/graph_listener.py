@@ -56,7 +56,7 @@ class NodeFacts:
 
     @property
     def message(self) -> str:
-        """What it says; "" where it does not report."""
+        """Its last message; "" where it does not report."""
         return "" if self.report is None else self.report.message
 
     def value(self, key: str) -> str:
@@ -66,9 +66,9 @@ class NodeFacts:
 
 @dataclass(frozen=True)
 class SilhouetteFacts:
-    """What one camera sent while the doctor listened.
+    """One camera's messages while the doctor listened.
 
-    masks : silhouettes heard; lost : missing between the first and the last.
+    masks : silhouettes received; lost : missing between the first and the last.
     share : of foreground, the median of those decoded; age_s : from capture to arrival here, the median.
     """
 
@@ -81,7 +81,7 @@ class SilhouetteFacts:
 
 @dataclass(frozen=True)
 class GraphFacts:
-    """The running graph as heard from here.
+    """The running graph as seen from here.
 
     sets : diagnostics of the hull server's frame sets. expected : the cameras of the rig file, where one is given.
     """

@@ -29,7 +29,7 @@ from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, interfac
 
 PORT = 7398  # below all ROS domains' ports
 UNUSED_PORT = 10 + 2 * PARTICIPANTS + 9  # of a domain's: no process listens there
-ALONE = ("LOCALHOST", "OFF")  # discovery ranges that hear this machine only
+ALONE = ("LOCALHOST", "OFF")  # discovery ranges within this machine
 DOCS = "docs/how-to/hosts.md"
 
 # questions and answers of two doctors ---------------------------------------------------------------------------------
@@ -37,14 +37,14 @@ DOCS = "docs/how-to/hosts.md"
 SMALL_BYTES, FULL_BYTES = 64, 1400  # of a question, headers included: the latter as large as packets of our DDS profile
 UNICAST, MULTICAST, GROUP = b"sagoma?", b"sagoma*", "239.255.0.1"  # the group of DDS discovery
 HEADERS = 28  # IPv4 and UDP
-IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore what was learned before
+IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore the cached path MTU
 PATIENCE_S, TRIES = 0.3, 5
 NODE_MARK = "--ros-args"  # in the command line of every node that was started as one
 
 
 @dataclass(frozen=True)
 class RosSettings:
-    """What decides whom nodes hear: domain, discovery range, static peers, name of the profile's file, middleware."""
+    """Discovery settings: domain, discovery range, static peers, name of the profile's file, middleware."""
 
     domain: int = 0
     reach: str = "SUBNET"
@@ -80,7 +80,7 @@ def _node_environments() -> Iterator[Mapping[str, str]]:
 
 
 def serve(stop: threading.Event, address: str = "", port: int = PORT, ready: Callable[[], object] = bool) -> None:
-    """Answer questions until ``stop`` is set; call ``ready`` once they are heard. OSError where the port is taken.
+    """Answer questions until ``stop`` is set; call ``ready`` once the port is open. OSError where it is in use.
 
     A question is UNICAST and the number of another port on which to answer from then on, too (0: none), padded; the
     answer is :func:`settings_here`, cut to its size. Or MULTICAST and the port to which a multicast packet is sent.
@@ -116,7 +116,7 @@ def _question(size: int, port: int = 0, kind: bytes = UNICAST) -> bytes:
 
 
 def receives_multicast(address: str, here: str, port_of_discovery: int, port: int = PORT) -> bool:
-    """Return whether multicast to a domain's discovery, sent by what answers at ``address``, arrives at ``here``."""
+    """Return whether multicast to a domain's discovery, sent by the doctor at ``address``, arrives at ``here``."""
     with _socket() as ear, _socket() as link:
         ear.settimeout(PATIENCE_S)
         ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -132,8 +132,8 @@ def receives_multicast(address: str, here: str, port_of_discovery: int, port: in
 
 
 def answer_of(address: str, port: int, question: bytes) -> bytes | None:
-    """Return what comes back of a question, which may not be fragmented on its way: an answer, nothing where the port
-    is closed, None where it does not arrive."""
+    """Return the answer to a question that may not be fragmented on its way; empty where the port is closed, None where
+    it does not arrive."""
     with _socket() as link:
         link.settimeout(PATIENCE_S)
         link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
@@ -196,7 +196,7 @@ def examine_peer(subject: str, peer: Peer) -> Iterator[CheckResult]:
 
 
 def query_peer(address: str, port: int = PORT) -> Peer | None:
-    """Return a machine's ROS settings beside ours, and whether its nodes are heard; None when nothing answers."""
+    """Return a machine's ROS settings beside ours, and whether its packets arrive; None without an answer."""
     ours = RosSettings.of(os.environ)
     first = FIRST_PORT + DOMAIN_PORTS * ours.domain
     here = interface_to(address)
@@ -244,7 +244,7 @@ def check_domain(peer: Peer) -> CheckResult | None:
 
 
 def check_discovery(peer: Peer) -> CheckResult | None:
-    """Whether one machine asks the other, or multicast carries their announcements."""
+    """Whether static peers or multicast carry the machines' discovery."""
     theirs, ours = peer.node, peer.ours
     if theirs is None:
         return None

@@ -54,7 +54,7 @@ def check_software() -> Iterator[CheckResult]:
 
 
 def check_kernels() -> CheckResult:
-    """numba's cache, beside the sources or where NUMBA_CACHE_DIR says."""
+    """numba's cache, beside the sources or in NUMBA_CACHE_DIR."""
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(hull_server.__file__).parents[2])
     compiled = list(folder.rglob("*.nbi"))
     home = compiled[0].parent if compiled else folder
@@ -107,7 +107,7 @@ def check_clock() -> CheckResult:
 
 
 def check_ros_environment() -> Iterator[CheckResult]:
-    """Environment variables that decide whom nodes hear."""
+    """Environment variables of discovery."""
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     valid = domain.isdigit() and int(domain) <= HIGHEST_DOMAIN
     text = f"ROS_DOMAIN_ID = {domain}; it must be the same on all machines"
@@ -132,7 +132,7 @@ def check_disk(bags: Path) -> CheckResult:
 
 
 def _answer(*command: str) -> str:
-    """Return what a program prints; why not where it cannot run or hangs."""
+    """Return a program's output, or why it cannot run or hangs."""
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
     except (OSError, subprocess.TimeoutExpired) as problem:
@@ -149,7 +149,7 @@ GIGABIT, BUFFER_BYTES = 1000, 4 << 20
 
 @dataclass(frozen=True)
 class Interface:
-    """A network interface. ``speed_mbit`` is 0 where the driver does not tell."""
+    """A network interface. ``speed_mbit`` is 0 where the driver does not report it."""
 
     name: str
     address: str

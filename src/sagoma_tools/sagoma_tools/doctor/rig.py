@@ -39,7 +39,7 @@ POOR_SHARE, LITTLE_SHARE = 0.05, 0.5  # of the places where a person may stand
 
 @dataclass(frozen=True)
 class RigView:
-    """A rig, the file it is from, and what its cameras see.
+    """A rig, the file it is from, and its cameras' views.
 
     sees (cameras, places) : whether a camera sees a person from soles to head at a standing place of the volume.
     middle (3,) : the volume's centre at breast height, m.
@@ -52,7 +52,7 @@ class RigView:
 
     @classmethod
     def of(cls, rig: Rig, path: Path) -> RigView:
-        """Look at the volume's standing places through every camera."""
+        """Compute every camera's view of the volume's standing places."""
         low, high = rig.volume.low, rig.volume.high
         x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
         places = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1).reshape(-1, len(BODY_LEVELS_M), 3)
@@ -88,7 +88,7 @@ def check_rig_report(view: RigView) -> Iterator[CheckResult]:
 
 
 def check_coverage(view: RigView) -> Iterator[CheckResult]:
-    """Whether the cameras are enough to carve a body, and how much of the volume enough of them see."""
+    """Whether the cameras are enough to carve a body, and the share of the volume that enough of them see."""
     number = len(view.rig.cameras)
     few = "Use four cameras or more; three at the least: two cannot carve a body."
     three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
@@ -116,8 +116,8 @@ def needed_parts(rig: Rig) -> Rig:
 
 
 def carried(rig: Rig) -> str:
-    """Say how fast a link carries all pictures of the cameras, and what the volume needs of them: which that is, in the
-    words of the clients' settings."""
+    """Return the frame rates at which a link carries whole pictures, and the regions that the volume needs, as settings
+    of the clients."""
     regions = {each.name: asdict(needed_region(each, rig.volume)) for each in rig.cameras}
     named = (f"{name} {', '.join(f'{key} {px}' for key, px in region.items())}" for name, region in regions.items())
     return (
@@ -172,7 +172,7 @@ def check_lens(camera: CameraModel) -> Iterator[CheckResult]:
 
 
 def check_place(view: RigView, camera: CameraModel) -> Iterator[CheckResult]:
-    """Where the camera stands, and what it sees of the volume."""
+    """The camera's place, and its view of the volume."""
     height, distance = float(camera.centre_world[2]), float(np.linalg.norm(camera.centre_world - view.middle))
     share = float(view.sees[view.rig.names.index(camera.name)].mean())
     mm_per_px = 1e3 * pixel_width_m(camera, view.rig.volume)

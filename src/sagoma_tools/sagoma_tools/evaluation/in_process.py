@@ -41,11 +41,11 @@ def track_people(
 ) -> dict[str, dict[int, Track]]:
     """Track everybody with several configurations over the same hulls: every frame is segmented and carved once.
 
-    Returns each configuration's tracks by the person's number; the first person's is always there. Cameras and hull
-    are set as the first one says, from which the others may differ in fit and filter only; it is also the one that must
-    find a body (InputError): another's tracks may be empty. ``ended`` : is told what came of the videos when the
-    shortest has ended. ``detections`` : joints that a detector found in the images of a frame. ``warned`` : is told
-    once of cameras that are not where the rig says.
+    Returns each configuration's tracks by the person's number; the first person's is always there. Cameras and hull are
+    set by the first one, from which the others may differ in fit and filter only; it is also the one that must find a
+    body (InputError): another's tracks may be empty. ``ended`` : called with the videos' facts at the end of the
+    shortest. ``detections`` : joints that a detector found in the images of a frame. ``warned`` : called once with a
+    warning of cameras that are not at their place in the rig.
     """
     first, *others = variants.values()
     pipeline = MocapPipeline(session.rig, first) if exact_masks else pipeline_of(session, first)

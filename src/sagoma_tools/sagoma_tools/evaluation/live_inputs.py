@@ -1,4 +1,4 @@
-"""Sources of a live run's frames: a session's videos as files, or simulated GigE cameras that look at the session."""
+"""Sources of a live run's frames: a session's videos as files, or simulated GigE cameras that show the session."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class FootageInput:
 
 
 class StudioInput(FootageInput):
-    """Simulated GigE Vision cameras that look at the session; the graph runs on them as on hardware.
+    """Simulated GigE Vision cameras that show the session; the graph runs on them as on hardware.
 
     The room is empty at first, and every camera client trains its background. At full speed, the session's first
     picture then stays for SETTLE_S, in which the graph finds the rate that it holds; the session plays.

@@ -39,9 +39,9 @@ KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture, a
 class LiveRun:
     """The results of one live run of the graph.
 
-    clock : which frame of the session was visible when.
+    clock : maps times to frames of the session.
     seen : (N,) the session's frames that a camera captured.
-    sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
+    sets : frame sets sent; answered : number of them that the EKF answered, at sets_per_s of wall time.
     incomplete : sets that lacked a camera. usage : of the graph's processes, at the end of the run.
     diagnostics : each node's last diagnostics.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
@@ -91,8 +91,8 @@ def run_live(
 ) -> LiveRun:
     """Play a session through the whole graph, every node a process, and record a bag into ``output``/bag.
 
-    start : where the first pose comes from: "t_pose", "session" (its reference), or "auto": the reference where the
-    session has one that was made from its footage (``reference*.csv``), else a T-pose or whoever walks in.
+    start : source of the first pose: "t_pose", "session" (its reference), or "auto": the reference if the session has
+    one made from its footage (``reference*.csv``), else a T-pose or a person who walks in.
     """
     cancel = cancel or threading.Event()
     bag, start_from = output / "bag", start_settings(live_input.session, start)
@@ -130,8 +130,8 @@ def run_studio(
 ) -> LiveRun:
     """Run the whole graph on simulated cameras of ``fps`` Hz (:func:`run_live`), as slowly as this machine needs it.
 
-    speed : of the cameras' time; None: 1 where the graph holds LEAST_HZ frame sets a second, else so much slower, by a
-    power of two, that it holds them all; and half of that again while sets are torn or not answered.
+    speed : of the cameras' time; None: 1 if the graph holds LEAST_HZ frame sets a second, else the largest power of two
+    at which it holds them all; halved again while sets are torn or not answered.
     """
     cancel = cancel or threading.Event()
     chosen, speed = speed is not None, speed or 1.0

@@ -1,4 +1,4 @@
-"""A track scored against a session's truth: thesis Tables 7.1 and 7.2, and what they leave out."""
+"""A track scored against a session's truth: thesis Tables 7.1 and 7.2, and further figures."""
 
 from __future__ import annotations
 
@@ -159,9 +159,9 @@ class PointScores:
     over_200mm : share of frames in which it, or any point, is farther off. rmse_mm : thesis eq. 7.3, corrected (it sums
     signed differences, so that +10 and -10 mm would cancel to 0); of all the mean of the points' own, the last line of
     Table 7.2. ..._without_offset : after each point's constant offset in the pelvis frame is taken out: where
-    truth and stick figure mean different places by "shoulder" or "hip", that part says nothing about tracking, and the
+    truth and stick figure mean different places by "shoulder" or "hip", that part is not the tracker's error, and the
     covariance is about our own definition of the points (docs/reference/points.md).
-    inside_95 : share of errors inside the 95 % ellipsoid that the track states. nees : mean of :func:`nees_of`, 3 when
+    inside_95 : share of errors inside the track's 95 % ellipsoid. nees : mean of :func:`nees_of`, 3 when
     the covariance is right, more for an overconfident track (Bar-Shalom, Li & Kirubarajan, Estimation with Applications
     to Tracking and Navigation, 5.4).
     """
@@ -286,13 +286,13 @@ def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str,
 
 
 def number(value: float, digits: int = 4) -> float | None:
-    """Return a number as JSON knows them: None for what is not finite."""
+    """Return a number for JSON: None if it is not finite."""
     return round(float(value), digits) if np.isfinite(value) else None
 
 
 @dataclass(frozen=True, eq=False)
 class PartCalls:
-    """What a track says of the parts of the body (``PART_NAMES``), frame by frame; an untracked frame says nothing.
+    """Published states of the parts of the body (``PART_NAMES``) against their errors, frame by frame, where tracked.
 
     wrong : (F, 5) bool, a point of the part is more than 200 mm off. called : (F, 5) bool, its published state is
     doubtful or lost. clear : (F,) bool, frames with all points known and less than 100 mm off.

@@ -1,5 +1,5 @@
-"""A track: the filtered body of a session, one row a frame set; read from a bag or collected in process; why there is
-none."""
+"""A track: the filtered body of a session, one row a frame set; read from a bag or collected in process; reasons of
+missing ones."""
 
 from __future__ import annotations
 
@@ -41,8 +41,7 @@ class Track:
     points_world : (F, 15, 3) metres, map frame; covariance : (F, 15, 3, 3) m^2.
     angles : (F, 18) rad.
     states : (F,) the tracker's state: "acquiring", "tracking", ...; empty where a frame has no row.
-    parts : (F, 5) how far to trust each part of the body (``PART_NAMES``): "good", "doubtful", "lost"; empty where that
-    is not known.
+    parts : (F, 5) quality of each part of the body (``PART_NAMES``): "good", "doubtful", "lost"; empty where unknown.
     """
 
     frames: np.ndarray
@@ -62,7 +61,7 @@ class Track:
 
     @classmethod
     def of_rows(cls, rows: PersonRows, frame_of_stamp: Callable[[int], int]) -> Track:
-        """Build from what a bag says of a person, where it has points and angles; of one frame, what came last."""
+        """Build from a person's messages in a bag, where it has points and angles; the last of each frame."""
 
         def by_frame(of_kind: dict[int, T]) -> dict[int, T]:
             return {frame_of_stamp(stamp): row for stamp, row in of_kind.items()}
@@ -180,7 +179,7 @@ def clock_of_bag(bag: str | Path, session: Session) -> SessionClock:
 
 
 def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]:
-    """The stamps of each camera's silhouettes in a bag, in order. Raises InputError when there is none at all."""
+    """Return the stamps of each camera's silhouettes in a bag, in order. Raises InputError when there are none."""
     cameras = {camera_topics(name)[1].name: name for name in session.rig.names}
     stamps: dict[str, list[int]] = {}
     for message in read_messages(bag, cameras.__contains__):
@@ -192,7 +191,7 @@ def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]
 
 
 def frame_count(session: Session) -> int:
-    """Frames of the session's shortest video, by the headers; of one whose header does not tell, as many as come."""
+    """Return the frames of the session's shortest video, by the headers, or by reading it where they are missing."""
     counts = []
     for path in session.videos.values():
         with Video(path) as video:
@@ -228,17 +227,19 @@ def session_of_bag(bag: Path) -> Session:
 FIT_TOPIC = "/icp/fit"
 SHOWN = 3
 VARYING = re.compile(r": step .*|(?<![\w.])[+-]?\d+(?:\.\d+)?")
-"""What may differ between two sets of which the same is said: which way to step, and numbers but a camera's name's."""
-REMEDY = "What to do about each: docs/how-to/tracking.md, 'Why it refuses'; of the rig: sagoma doctor --rig."
+"""Parts of a reason that may differ between two sets with the same one: the way to step, and numbers outside names."""
+REMEDY = (
+    "What to do about each: docs/how-to/tracking.md, 'Why it refuses'; what is wrong with the rig, sagoma doctor --rig says."
+)
 
 
 def reasons_of_step(step: Step) -> tuple[str, ...]:
-    """Return why the fits of one set are not quite believed, or there is none."""
+    """Return why the fits of one set are doubtful or missing."""
     return tuple(person.fit.reason for person in step.people if person.fit.state != Tracking.TRACKING)
 
 
 def reasons_of_bag(bag: str | Path, wanted: Callable[[int], bool] = lambda stamp_ns: True) -> list[tuple[str, ...]]:
-    """Return the same of each frame set of a wanted stamp in a bag; none of a bag without fits."""
+    """Return the reasons of each frame set of a wanted stamp in a bag; none of a bag without fits."""
     found = []
     for message in read_messages(bag, FIT_TOPIC.__eq__):
         if wanted(message.stamp_ns):
@@ -249,8 +250,8 @@ def reasons_of_bag(bag: str | Path, wanted: Callable[[int], bool] = lambda stamp
 
 
 def rank_reasons(sets: Sequence[Sequence[str]]) -> list[tuple[str, int]]:
-    """Return each reason, with the numbers of the middle one of its sets, and in how many it was given; the most
-    frequent first."""
+    """Return each reason, with the numbers of the middle one of its sets, and the number of sets; the most frequent
+    first."""
     texts: dict[str, list[str]] = defaultdict(list)
     for reasons in sets:
         for kind, reason in {VARYING.sub("#", reason): reason for reason in reasons}.items():

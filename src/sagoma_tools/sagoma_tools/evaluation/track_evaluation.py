@@ -27,7 +27,7 @@ STILL_M = 0.010
 
 
 def jitter(track: Track, fps: float, truth: Truth | None = None) -> tuple[float, np.ndarray]:
-    """Return the rms, mm, of the high-pass-filtered motion of the points at rest, and how often each was (15,).
+    """Return the rms, mm, of the high-pass-filtered motion of the points at rest, and the count of each (15,).
 
     With a centred moving average of :data:`WINDOW_S` (2 h + 1 frames), a point's jitter at frame k is
     ``x_k - mean(x_{k-h} .. x_{k+h})``. It counts at frame k when the point rests there: when the truth's point (without
@@ -63,11 +63,11 @@ class TrackEvaluation:
     """The evaluation of one track.
 
     frames : frames of footage, fps of them a second.
-    states : the tracker's state -> in how many frames.
+    states : the tracker's state -> number of frames.
     time_to_track_s : from the first frame to the first in state "tracking", NaN when there is none.
     jitter_mm, at_rest : as :func:`jitter` measures it.
     scores : against the truth, where the session has one. thesis : those of the thesis's method on the same hulls.
-    switches : identity switches of the person; None without a truth, or of somebody whom no track follows.
+    switches : identity switches of the person; None without a truth, or without a track.
     """
 
     session: Session
@@ -122,18 +122,18 @@ def time_to_track_s(track: Track, fps: float) -> float:
 
 
 FIRST_S = 1.0
-GHOST_M = 0.5  # a track that is farther from every truth, mean of its points, follows nobody
-SWITCHED_FOR_S = 0.1  # so long another truth is nearer before it counts: in a hug two persons share a place
+GHOST_M = 0.5  # a track that is farther from every truth, mean of its points, is a ghost
+SWITCHED_FOR_S = 0.1  # that another truth is nearer before it counts: in a hug two persons share a place
 
 
 @dataclass(frozen=True, eq=False)
 class Identities:
-    """Which tracks follow which truth.
+    """Assignment of tracks to truths.
 
-    numbers : of each truth, the persons as the tracker numbers them whose tracks belong to it, the first one first.
-    switches : of each truth, how often a track of it went to another truth; and one for each further number; None where
-    no track belongs to it. ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some
-    track that is not doubtful is with nobody.
+    numbers : for each truth, the tracker's numbers of the persons whose tracks belong to it, the first one first.
+    switches : for each truth, changes of its tracks to another truth, and one for each further number; None without a
+    track. ghosts : persons of the tracker without a truth. ghost_frames : frames in which some track that is not
+    doubtful is near no truth.
     """
 
     numbers: tuple[tuple[int, ...], ...]
@@ -144,8 +144,8 @@ class Identities:
 
 @dataclass(frozen=True, eq=False)
 class PeopleScores:
-    """The truths, who follows them, and of each the scores of its first track (None without one) and the time until
-    that tracks, s."""
+    """The truths, the tracks assigned to them, and for each the scores of its first track (None without one) and the
+    time until that tracks, s."""
 
     truths: Sequence[Truth]
     who: Identities
@@ -182,8 +182,8 @@ def score_people(
 ) -> PeopleScores:
     """Score the tracks of persons 1, 2, ... against the truths of a session of ``fps`` frames a second.
 
-    Where a track says that it has lost its person it is not looked at: that person may have left. With ``visibility``
-    errors count of those points alone that the rig shows.
+    Frames in which a track is lost do not count: its person may have left. With ``visibility`` only errors of points
+    that the rig sees count.
     """
     who = identify(tracks, truths, fps)
     firsts = [_believed(tracks[numbers[0]]) if numbers else Track.of_states([]) for numbers in who.numbers]
@@ -197,7 +197,7 @@ def score_people(
 
 
 def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Identities:
-    """Find whose tracks the persons 1, 2, ... are, and how often they change; as :func:`score_people`."""
+    """Assign the tracks of persons 1, 2, ... to truths, and count switches; arguments as of :func:`score_people`."""
     tracks = {person: _believed(track) for person, track in sorted(tracks.items())}
     distances = {person: distances_m(track, truths) for person, track in tracks.items() if len(track)}
     owners = assign(distances, fps)
@@ -240,7 +240,7 @@ def distances_m(track: Track, truths: Sequence[Truth]) -> np.ndarray:
 
 
 def assign(distances: Mapping[int, np.ndarray], fps: float) -> dict[int, int | None]:
-    """Return the truth that each person's track belongs to by its first second; None for one that is with nobody."""
+    """Return the truth that each person's track belongs to by its first second; None for a ghost."""
     owners: dict[int, int | None] = {}
     for person, rows in distances.items():
         mean = np.nan_to_num(mean_of_known(rows[: max(round(FIRST_S * fps), 1)], 0), nan=np.inf)

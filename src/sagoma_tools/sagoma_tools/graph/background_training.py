@@ -24,7 +24,7 @@ from .ros_link import call_all, find_nodes, label_of, owners_of
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
-NEEDS_ONE = "sagoma background"  # part of a client's message when its background should be trained anew
+NEEDS_ONE = "sagoma background"  # part of a client's message when its background should be trained again
 
 
 @dataclass(frozen=True)

@@ -61,22 +61,22 @@ class DiagnosticsTable:
             return self._reports.get(name)
 
     def names(self) -> tuple[str, ...]:
-        """Return every node heard so far."""
+        """Return every node that has reported so far."""
         with self._heard:
             return tuple(sorted(self._reports))
 
     def wait_for(self, names: Iterable[str], timeout_s: float) -> bool:
-        """True as soon as every one of these nodes has been heard, False after ``timeout_s``."""
+        """Return True as soon as every one of these nodes has reported, False after ``timeout_s``."""
         wanted = set(names)
         return self.wait_until(lambda: wanted <= self._reports.keys(), timeout_s)
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """True as soon as ``done``, which is asked at every report, False after ``timeout_s``."""
+        """Return True as soon as ``done``, called at every report, is true, False after ``timeout_s``."""
         with self._heard:
             return self._heard.wait_for(done, timeout_s)
 
     def table(self, names: Mapping[str, str], states: Mapping[str, str], *, now_s: float | None = None) -> Table:
-        """Return one line a node (full name -> what to call it): state, rate, latency, losses, memory, message."""
+        """Return one line a node (full name -> label): state, rate, latency, losses, memory, message."""
         now_s = time.monotonic() if now_s is None else now_s
         table = plain_table("", ("node", "state"), ("rate Hz", "latency p50 ms", "rss MB"), ("lost", "says"))
         for name, label in names.items():

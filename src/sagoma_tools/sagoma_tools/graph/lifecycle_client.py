@@ -1,7 +1,7 @@
 """Drives the lifecycle of several nodes at once and reports which acknowledged, refused, or did not answer.
 
-configure / activate / deactivate / cleanup are the thesis's connect / start / suspend / stop. A service request goes
-to whoever offers that service: before one is sent, nodes of the graph's names that other processes run are looked for,
+configure / activate / deactivate / cleanup are the thesis's connect / start / suspend / stop. A service request goes to
+any node that offers that service: before one is sent, nodes of the graph's names in other processes are searched for,
 or a second graph would drive the first one's nodes.
 """
 
@@ -47,7 +47,7 @@ class Outcome:
     failures: dict[str, str] = field(default_factory=dict)
 
     def fail(self, node: str, asked: str, said: str | None) -> None:
-        """Note that a node did not do what it was asked for, and what it said; None: nothing."""
+        """Add a node that did not make the requested transition, with its message; None: no answer."""
         self.failures[node] = f"{node}: {asked} {said or 'did not answer'}"
 
 
@@ -78,10 +78,10 @@ class LifecycleClient:
         """Bring every node (full names) to ``goal`` from its present state: cameras last on the way up, or first on the
         way down, and each kind in step.
 
-        timeout_s : for each answer; None: as long as a node that starts may take on the way up (it learns a background,
-        opens a camera, at its very first start compiles), and one that stops on the way down. contact_s : how long a
-        node may take to report its state, long for a process that has just started. A node that refuses or stays silent
-        keeps its state; the others go on.
+        timeout_s : for each answer; None: the longest start of a node on the way up (it learns a background, opens a
+        camera, at its very first start compiles), and the longest stop on the way down. contact_s : for a node to
+        report its state, long for a process that has just started. A node that refuses or stays silent keeps its state;
+        the others go on.
         """
         outcome, states = Outcome(), dict[str, LifecycleState]()
         for name, label in self.states(nodes, contact_s).items():
@@ -100,7 +100,7 @@ class LifecycleClient:
     def _change(
         self, ways: Mapping[str, tuple[LifecycleState, LifecycleState]], timeout_s: float | None, outcome: Outcome
     ) -> dict[str, LifecycleState]:
-        """Ask each node for the transition between its two states; returns those that acknowledged and their states."""
+        """Request each node's transition between its two states; return those that acknowledged and their states."""
         requests = {name: ChangeState.Request() for name in ways}
         for name, way in ways.items():
             requests[name].transition.id = TRANSITIONS[way][1]

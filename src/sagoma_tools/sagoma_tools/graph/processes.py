@@ -30,8 +30,7 @@ _libc = ctypes.CDLL(None)
 
 @dataclass(frozen=True)
 class ExitStatus:
-    """How one child ended: what was not in order about it, "" for nothing, and its exit status (negative: the signal's
-    number)."""
+    """The end of one child: its fault, "" for none, and its exit status (negative: the signal's number)."""
 
     name: str
     trouble: str
@@ -45,8 +44,7 @@ KILLED, FAILED, ALREADY_DEAD = "ignored SIGINT and was killed", "stopped with an
 class Usage:
     """Resources of a process: memory resident now, MiB, and processor time since its start, seconds.
 
-    own_mib : of what is resident, all that is not shared. How many of a library's pages are counted as resident is the
-    kernel's choice, and processes share them.
+    own_mib : resident and not shared. Shared pages of libraries are counted as resident at the kernel's choice.
     """
 
     resident_mib: float
@@ -119,7 +117,7 @@ class Child:
         return Usage(memory.rss / MIB, (memory.rss - memory.shared) / MIB, cpu.user + cpu.system)
 
     def interrupt(self) -> None:
-        """Ask it to stop (SIGINT)."""
+        """Interrupt it (SIGINT)."""
         self._stopping = True
         if self.alive:
             self._process.send_signal(signal.SIGINT)
@@ -159,7 +157,7 @@ def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus
 
 
 def busy_machine() -> str:
-    """Return how busy the machine is, and what helps, when more wants to run than it has processors; else nothing."""
+    """Return the machine's load with a remedy when more threads are ready than it has processors; else ""."""
     load, processors = os.getloadavg()[0], os.cpu_count() or 1
     busy = f"the machine is busy (load {load:.1f} on {processors} processors): end other programs and try again"
     return busy if load > processors else ""

@@ -34,7 +34,7 @@ class RosLink:
     """
 
     def __init__(self, name: str, *, namespace: str = "", domain_id: int | None = None) -> None:
-        """``namespace`` : of the graph ("/studio"): what is looked for through :attr:`node` is looked for there."""
+        """``namespace`` : of the graph ("/studio"), in which :attr:`node` resolves names."""
         bound_memory()  # as every node does: it also is found, and finds, at once
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
@@ -55,7 +55,7 @@ class RosLink:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop spinning and leave the graph; may be called twice. Raises what a callback had raised, if one had."""
+        """Stop spinning and leave the graph; may be called twice. Raises a callback's exception, if there was one."""
         if not self.context.ok():
             return
         self._closing.set()
@@ -90,9 +90,9 @@ class RosLink:
 
 
 def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[str]:
-    """Return what ``look`` finds, sorted, once it is ``expect`` or more and has not changed for ROUND_S.
+    """Return the sorted results of ``look`` once there are ``expect`` or more and they have not changed for ROUND_S.
 
-    Discovery has no end: after ``wait_s``, whatever has been found by then.
+    Discovery has no end: after ``wait_s`` the results so far are returned.
     """
     start_s = changed_s = time.monotonic()
     found: set[str] = set()
@@ -130,7 +130,7 @@ def is_camera(full_name: str) -> bool:
 
 
 def label_of(full_name: str) -> str:
-    """Return what to call a node: a camera client by its camera, "cam01" of "/cam01/camera_client"."""
+    """Return a node's label: of a camera client its camera, "cam01" of "/cam01/camera_client"."""
     return full_name.strip("/").removesuffix(f"/{CAMERA_NODE}")
 
 
@@ -166,11 +166,11 @@ def call_all(
     """Call the services NAME + ``suffix`` at once; name -> reply, None where none came within ``timeout_s``.
 
     Each request is sent as soon as its service is there, so one silent node delays no other. ``node`` must be spun by
-    another thread. A service for which ``alive`` turns false is waited for no longer.
+    another thread. The wait for a service ends when its ``alive`` turns false.
 
     A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to send
-    response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is asked
-    every second which of the silent services are known, by other means, to have done their work, and their replies.
+    response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is called
+    every second for the replies of silent services that are known, by other means, to have done their work.
     """
     clients = {service: node.create_client(srv_type, service + suffix) for service in requests}
     answered, unsent = threading.Condition(), set(requests)
@@ -222,7 +222,7 @@ def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def namespace_argument(args: argparse.Namespace) -> str:
-    """Return the namespace asked for as ROS writes it, "/studio", and "" for none. Raises InputError for no name."""
+    """Return a namespace as ROS writes it, "/studio", and "" for none. Raises InputError for an invalid name."""
     given = str(getattr(args, "namespace", "")).strip("/")
     try:
         validate_namespace(f"/{given}")

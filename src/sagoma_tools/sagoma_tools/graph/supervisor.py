@@ -1,10 +1,10 @@
 """Runs the node graph as processes, without the ros2 command line.
 
-Starts every process (`processes`), drives the nodes' lifecycle with acknowledgements (the server's first, the
-cameras' last), starts again what has crashed, and stops all cleanly. A camera may die; the graph goes on.
+Starts every process (`processes`), drives the nodes' lifecycle with acknowledgements (the server's first, the cameras'
+last), restarts crashed processes, and stops all cleanly. A camera may die; the graph goes on.
 
-What has crashed finds rig, calibration and parameters in files. Backgrounds that were learnt while the graph ran are
-kept in the run folder; a tracker learns the sizes of the body anew.
+A restarted node finds rig, calibration and parameters in files. Backgrounds that were learnt while the graph ran are
+kept in the run folder; a tracker learns the sizes of the body again.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class Supervisor:
         return outcome
 
     def suspend(self) -> Outcome:
-        """Deactivate every active node, the cameras first; what dies from now on stays dead."""
+        """Deactivate every active node, the cameras first; processes that end from now on are not restarted."""
         self._running = False
         return self._bring(LifecycleState.ACTIVE, LifecycleState.INACTIVE, timeout_s=ANSWER_S)
 
@@ -167,8 +167,8 @@ class Supervisor:
     # crashes ----------------------------------------------------------------------------------------------------------
 
     def _on_exit(self, process: ProcessSpec, child: Child) -> None:
-        """Report a process that has ended by itself and start it again, on the thread that watched it: unless somebody
-        asked it to end, or it reads footage, in which its place is lost."""
+        """Report a process that has ended by itself and restart it, on the thread that watched it: unless it was asked
+        to end, or reads footage, whose position is lost."""
         exited_s, names = time.monotonic(), [node.full_name for node in process.nodes]
         with self._lock:
             delay_s = self._restart_delay_s if self._running and not self._halted.is_set() else None
@@ -226,9 +226,9 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class ProcessEvent:
-    """A process that has ended though none of us asked for it, or one that is ``back``: its nodes are active again.
+    """A process that has ended by itself, or one that is ``back``: its nodes are active again.
 
-    text : what has happened, and what comes next. log_tail : the end of the log of one that has ended.
+    text : the event, and the next step. log_tail : the end of the log of one that has ended.
     """
 
     process: ProcessSpec
@@ -239,7 +239,7 @@ class ProcessEvent:
 
 
 def reason_of(returncode: int) -> str:
-    """Return exit status or signal, and what it mostly means."""
+    """Return exit status or signal, and its usual meaning."""
     if returncode >= 0:
         return f"exit status {returncode}"
     number = signal.Signals(-returncode)

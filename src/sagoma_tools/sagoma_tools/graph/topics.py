@@ -27,7 +27,7 @@ FIRST_BODY_ID = "b0001"  # where the graph sets no other
 
 
 def _reliable(durability: DurabilityPolicy) -> QoSProfile:
-    """Return how messages pass none of which may be lost, though a recorder lags behind for a second."""
+    """Return the QoS of lossless topics: deep enough for a recorder that lags behind for a second."""
     options = {"reliability": ReliabilityPolicy.RELIABLE, "durability": durability}
     return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, **options)
 
@@ -49,7 +49,7 @@ class Topic:
     @property
     def qos(self) -> QoSProfile:
         """How a recorder subscribes."""
-        # many also of what is kept: /tf_static has several publishers, which all keep their own
+        # deep even where messages are kept: /tf_static has several publishers, each of which keeps its own
         return _reliable(DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE)
 
 
@@ -107,7 +107,7 @@ def person_topics(body_id: str) -> tuple[Topic, ...]:
 
 
 def topics_of_others(first_id: str = FIRST_BODY_ID) -> tuple[Topic, ...]:
-    """Return the topics of everybody who may come, but of the first person: those are a copy of /mocap/..."""
+    """Return the topics of all possible persons but the first one, whose are a copy of /mocap/..."""
     others = [body_id_of(first_id, person) for person in range(2, MOST_PERSONS + 1)]
     return tuple(topic for body_id in others for topic in person_topics(body_id))
 

@@ -2,7 +2,7 @@
 
 By the data set's public note a participant's archive holds the calibration of each camera and a folder for each trial,
 with nine videos and ``markers.c3d``. A calibration is a text of numbers: image width and height, K (3 x 3), L (4 x 4,
-world to camera, mm), k0 to k4 in OpenCV's order. Markers are on the skin: a joint is the middle of those around it, by
+world to camera, mm), k0 to k4 in OpenCV's order. Markers are on the skin: a joint is the mean of those around it, by
 the names of :data:`MARKERS` or of a file of the user's.
 """
 
@@ -60,8 +60,7 @@ there."""
 def import_trial(
     trial: Path, folder: Path, calibration: Path | None = None, markers: Path | None = None, mocap_delay_s: float = 0.0
 ) -> list[str]:
-    """Write the session folder ``folder`` of the trial's videos, which appears whole or not at all, and say what that
-    is, line by line.
+    """Write the session folder ``folder`` of the trial's videos, all or nothing; return its description, line by line.
 
     calibration : folder of the calibration files; else they are looked for in the participant's folder.
     markers : YAML, point: [marker, ...]. mocap_delay_s : time of the first mocap frame after the first image, s.
@@ -113,7 +112,7 @@ def read_calibration(path: Path, video: Path, name: str) -> CameraModel:
 
 
 def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> dict[str, tuple[str, ...]]:
-    """Return of which markers each point is the middle. Raises InputError listing the markers that there are."""
+    """Return the markers whose mean is each point. Raises InputError listing the file's markers."""
     choices: dict[str, tuple[tuple[str, ...], ...]] = dict(MARKERS)
     for name, labels in (given or {}).items():
         if name not in MARKERS or not isinstance(labels, list) or not all(isinstance(one, str) for one in labels):

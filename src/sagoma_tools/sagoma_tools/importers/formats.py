@@ -53,7 +53,7 @@ def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, 
 
 
 def save_description(folder: Path, fps: float, source: str, kind: str, **more: Any) -> None:
-    """Write session.yaml; ``kind`` of import, ``more`` : what the kind adds."""
+    """Write session.yaml; ``kind`` of import, ``more`` : further keys of the kind."""
     made_by = f"sagoma import {kind}, {own_version()}"
     about = {"fps": float(fps), "units": "metres, pixels", "source": source, "made_by": made_by}
     save_mapping(folder / "session.yaml", {**about, **more})
@@ -168,7 +168,7 @@ def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
         raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path), remedy=COPY_AGAIN)
     column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts
     points_mm = scale * np.stack(frames).astype(float)
-    points_mm[(points_mm == 0).all(axis=2)] = np.nan  # as files say that a point was not seen
+    points_mm[(points_mm == 0).all(axis=2)] = np.nan  # the files' mark of points that were not seen
     return Mocap(path, column, points_mm, rate_hz)
 
 

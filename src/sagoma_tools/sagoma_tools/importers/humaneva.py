@@ -90,7 +90,7 @@ def import_trial(
     with_truth: bool = True,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[str]:
-    """Write the session folder ``folder``, which appears whole or not at all, and say what that is, line by line.
+    """Write the session folder ``folder``, all or nothing; return its description, line by line.
 
     Raises InputError naming the file.
 

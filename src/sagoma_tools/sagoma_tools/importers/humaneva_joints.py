@@ -27,7 +27,7 @@ SQUARE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class SegmentFrames:
-    """Origin (F, 3) mm and rotation R_world_segment (F, 3, 3) of a segment; ``known`` (F,) says where both are."""
+    """Origin (F, 3) mm and rotation R_world_segment (F, 3, 3) of a segment; ``known`` (F,) : frames with both."""
 
     origin_mm: np.ndarray
     R_world_segment: np.ndarray

@@ -1,7 +1,7 @@
 """Imports a rosbag of camera images, of any driver and writer, as a session.
 
 Frame k of the session is the k-th image of the first camera, with the image of every other camera that is nearest in
-time. Cameras need not be triggered together: stamps.csv says when each image was taken.
+time. Cameras need not be triggered together: stamps.csv holds the time of each image.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def import_bag(
     background: Path | None = None,
     progress: Progress = lambda done: None,
 ) -> list[str]:
-    """Write the session folder ``folder``, lossless, which appears whole or not at all, and say what that is, line by
-    line: also how far apart the images of one frame are.
+    """Write the session folder ``folder``, lossless, all or nothing; return its description, line by line, with the
+    time spread of each frame's images.
 
-    rig_file : else lenses/CAMERA.yaml are written of the bag's camera_info. topics : of cameras whose name is in no
-    topic's. background : a bag of the empty room, on the same topics. Raises InputError.
+    rig_file : without it lenses/CAMERA.yaml are written from the bag's camera_info. topics : of cameras whose name is
+    in no topic's. background : a bag of the empty room, on the same topics. Raises InputError.
     """
     rig = None if rig_file is None else load_rig(rig_file)
     found = choose_topics(bag_topics(bag), None if rig is None else rig.names, topics or {}, bag)
@@ -77,8 +77,8 @@ def import_bag(
 def choose_topics(
     types: Mapping[str, str], names: Sequence[str] | None, given: Mapping[str, str], bag: Path
 ) -> dict[str, str]:
-    """Return the topic of each camera, in name order: of those with the camera's name as a part the shortest, which is
-    the raw one. Without ``names`` a camera is what the last part of its topic belongs to. Raises InputError."""
+    """Return the topic of each camera, in name order: the shortest with the camera's name as a part, which is the raw
+    one. Without ``names`` a camera's name is its topic without the last part. Raises InputError."""
     images = sorted(image_topics(types), key=lambda topic: (len(topic), topic))
     parts = {topic: topic.removesuffix("/compressed").split("/") for topic in images}
     if names is None:
@@ -96,7 +96,7 @@ def frame_sets(stamps_ns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
     """Return the stamps (F, C) of the images of each frame, ns, and the first camera's median period, ns.
 
     stamps_ns : of each camera's images (n,), rising. Frames begin in the widest gap that all images leave within the
-    first camera's period; those that a camera has no image of are left out. Raises InputError where none is left.
+    first camera's period; frames without an image of some camera are left out. Raises InputError where none is left.
     """
     first = stamps_ns[0]
     if min(map(len, stamps_ns)) < 2:
@@ -124,7 +124,7 @@ def _stamp_ns(message: BagMessage) -> int:
 
 
 def _stamps(bag: Path, topics: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """Return the stamps (n,) of each camera's images, ns, rising: what comes twice or goes back is left out."""
+    """Return the stamps (n,) of each camera's images, ns, rising, without repeated and decreasing ones."""
     series: dict[str, list[int]] = {topic: [] for topic in topics.values()}
     for message in read_messages(bag, series.__contains__):
         own, stamp_ns = series[message.topic], _stamp_ns(message)

@@ -76,7 +76,7 @@ class BagMessage:
             raise self.damaged(f"is no {self.msgtype}: {error}") from None
 
     def damaged(self, how: str) -> InputError:
-        """The error that says where the message is and ``how`` it is damaged."""
+        """Return the error with the message's place and its damage (``how``)."""
         what = f"the message logged at {self.log_ns} ns {shortened(how)}: it was cut or damaged"
         return InputError(what, where=f"{self.bag}: {self.topic}", remedy=RECOVER)
 
@@ -167,7 +167,7 @@ def rig_in(bag: str | Path) -> Path | None:
 def bag_persons(bag: str | Path) -> dict[str, int]:
     """Return the ids of the bodies that have topics of their own in a bag -> the persons' numbers, in their order.
 
-    Ids that do not follow from the first person's, as recorded, are numbered after all that do.
+    Ids that do not derive from the first person's, as recorded, are numbered after all that do.
     """
     nodes = read_provenance(bag).get("graph", {}).values()
     first_id = first_body_id(node for node in nodes if isinstance(node, Mapping))
@@ -247,7 +247,7 @@ def default_comparison(bag: str | Path) -> tuple[str, ...]:
 
 
 def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> str:
-    """Say where two bags first differ on a topic, undefined bytes apart: message and byte; empty when all agree."""
+    """Return the first difference of two bags on a topic, undefined bytes apart: message and byte; "" for none."""
     pairs = zip_longest(*(read_messages(bag, topic.__eq__) for bag in (bag_a, bag_b)))
     for number, (a, b) in enumerate(pairs):
         if a is None or b is None:

@@ -1,4 +1,4 @@
-"""What a bag says of each person, set by set: /mocap/... of the first, /mocap/bodies/ID/... of others."""
+"""Each person's motion in a bag, set by set: /mocap/... of the first, /mocap/bodies/ID/... of others."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TRUSTED = "tracking"
 LOST = "lost"
 """Rows in this state are extrapolated: a gap."""
 State = tuple[str, tuple[str, ...]]
-"""The tracker's state, and that of each part of the body (``PART_NAMES``), empty where it is not told."""
+"""The tracker's state, and that of each part of the body (``PART_NAMES``), empty where unknown."""
 NO_STATE: State = TRUSTED, ("",) * len(PART_NAMES)
 
 
@@ -62,7 +62,7 @@ class PersonRows:
                 self.torso[row.stamp_ns] = _torso(row)
         except InputError:
             raise
-        except ValueError as error:  # a number that is none, a rotation of zeros
+        except ValueError as error:  # an invalid number, a rotation of zeros
             raise row.damaged(f"holds what cannot be: {error}") from None
 
 
@@ -79,7 +79,7 @@ def read_person_rows(
 
 
 def kind_of(topic: str) -> str | None:
-    """Return what a topic says of a person, None of any other topic."""
+    """Return person and kind of a person's topic, None of any other topic."""
     match = ROW_TOPIC.match(topic)
     return match["kind"] if match else None
 

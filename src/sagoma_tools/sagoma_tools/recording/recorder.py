@@ -39,7 +39,7 @@ from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
-NEWCOMERS_S = 0.3  # how often a recorder looks for cameras and persons who have come
+NEWCOMERS_S = 0.3  # period of the search for new cameras and persons
 
 
 class Recorder:
@@ -95,11 +95,11 @@ class Recorder:
         )
 
     def add_new_sources(self) -> None:
-        """Look every NEWCOMERS_S for cameras that publish silhouettes, and for persons, and record them too."""
+        """Add the topics of new cameras and persons, every NEWCOMERS_S."""
 
         def add_all() -> None:
             names = topics_of(self._node)
-            others = {*persons_in(names)} - {FIRST_BODY_ID}  # of whom all is below /mocap itself
+            others = {*persons_in(names)} - {FIRST_BODY_ID}  # whose topics are below /mocap itself
             for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, sorted(others))):
                 for topic in topics:
                     self.add(topic)
@@ -235,7 +235,7 @@ def rig_of(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
 
 
 def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> dict[str, dict[str, Any]]:
-    """Ask running nodes for their parameters: full name -> parameters; a node that does not answer is left out.
+    """Read the parameters of running nodes: full name -> parameters, without nodes that do not answer.
 
     ``node`` must be spun by another thread.
     """

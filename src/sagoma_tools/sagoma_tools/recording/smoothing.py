@@ -64,8 +64,8 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
 
 
 def read_fits(bag: str | Path) -> tuple[dict[int, list[list[Set]]], dict[int, str]]:
-    """Return everybody's fits in bag order, each with the body that was followed then: of each person, by number, the
-    runs of frame sets without a set that lacks the person; and the name of each set's frame, by its stamp.
+    """Return everybody's fits in bag order, each with the body tracked then: for each person, by number, the runs of
+    consecutive frame sets with the person; and the name of each set's frame, by its stamp.
 
     A body is published with the set that it was measured or refined with, before or just after its points; the first
     one serves the sets before it as well.

@@ -30,7 +30,7 @@ from capture_rig.yaml_file import save_mapping
 from .reader import METADATA, SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES
 
 INFINITE = QosTime(9223372036, 854775807)
-# what every publisher of the graph offers (sagoma_ros.qos)
+# the QoS of every publisher of the graph (sagoma_ros.qos)
 _QUEUE = (QosHistory.KEEP_LAST, 20, QosReliability.RELIABLE, QosDurability.VOLATILE)
 OFFERED = Qos(*_QUEUE, INFINITE, INFINITE, QosLiveliness.AUTOMATIC, INFINITE, False)
 OFFERED_LATCHED = OFFERED._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
@@ -49,7 +49,7 @@ def require_new(folder: str | Path) -> Path:
 class BagWriter:
     """One bag being written; use as a context manager. Methods may be called from any thread.
 
-    Every SYNC_S what came is put on the disk (fsync), so that a power cut costs a second at most; every chunk has a
+    Messages are flushed to the disk every SYNC_S (fsync), so that a power cut costs a second at most; every chunk has a
     checksum. ``metadata.yaml`` appears in one step when the bag is closed; a bag without it was cut short (``sagoma
     recover``), as is one whose disk was full or failed: writing raises InputError from then on.
     """
@@ -90,7 +90,7 @@ class BagWriter:
         """Announce a topic as another bag has it, once: with that bag's definition of its type, hash and QoS."""
         name = connection.topic
         offered = getattr(connection.ext, "offered_qos_profiles", ())
-        if not (connection.msgdef.data and connection.digest):  # sqlite3 bags of before have none
+        if not (connection.msgdef.data and connection.digest):  # old sqlite3 bags have none
             self.add_topic(name, connection.msgtype, *offered[:1])
         elif name not in self._channels:
             self._add_channel(name, connection.msgtype, connection.msgdef.data, connection.digest, offered)
@@ -156,7 +156,7 @@ class BagWriter:
             raise self.failure
 
     def _information(self) -> dict[str, Any]:
-        """Return what metadata.yaml says of the bag: version 9 of rosbag2."""
+        """Return the bag's metadata.yaml, version 9 of rosbag2."""
         name, first_ns = f"{self.folder.name}.mcap", self._last_ns if self._first_ns is None else self._first_ns
 
         def contents() -> dict[str, Any]:
@@ -183,7 +183,7 @@ class BagWriter:
         }
 
     def _sync(self) -> None:
-        """Wait until the disk has what was written so far. Raises OSError."""
+        """Flush the file to the disk. Raises OSError."""
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -272,8 +272,8 @@ def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
 
     The mcap file of a bag whose writer was killed, whose disk was full, or whose bytes were damaged has no index, or a
     wrong one: it is read record by record up to where it breaks off. A chunk that is cut, or whose checksum does not
-    fit its bytes, is left out whole; which of its messages are damaged cannot be told. Raises InputError for what is no
-    mcap bag.
+    fit its bytes, is left out whole, as its damaged messages are unknown. Raises InputError for anything but an mcap
+    bag.
     """
     files = sorted(Path(bag).glob("*.mcap"))
     if len(files) != 1:

@@ -1,1 +1,1 @@
-"""Takes: recorded bags with what is known of each, and what can be done with them without losing anything."""
+"""Takes: recorded bags with their figures, and operations on them that lose nothing."""

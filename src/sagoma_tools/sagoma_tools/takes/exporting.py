@@ -34,7 +34,7 @@ Writer = Callable[[Motion, Path], None]
 
 
 def writers(mass_kg: float | None = None) -> Mapping[str, Mapping[str, Writer]]:
-    """Return of each format the extensions of its files and who writes them."""
+    """Return for each format the extensions of its files and their writers."""
     return {
         "bvh": {"bvh": write_bvh},
         "glb": {"glb": write_glb},
@@ -48,7 +48,7 @@ def writers(mass_kg: float | None = None) -> Mapping[str, Mapping[str, Writer]]:
 FORMATS = tuple(writers())
 WITHOUT_GAPS = ("bvh", "opensim")
 EXPORTS = "export"
-"""The folder in a take's folder into which its files go unless told otherwise."""
+"""The default folder of its files in a take's folder."""
 
 
 def export_take(
@@ -58,13 +58,13 @@ def export_take(
     rate_hz: float | None = None,
     mass_kg: float | None = None,
     overwrite: bool = False,
-    tell: Callable[[str], None] = lambda text: None,
+    log: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
-    """Write every person of a take in every format wanted, each file whole or not at all; returns the files.
+    """Write every person of a take in every requested format, each file all or nothing; return the files.
 
     rate_hz : frames a second, None for the take's own. mass_kg : of the OpenSim model, None for a BMI of 22.
-    overwrite : replace files. tell : hears of every
-    person and file. Raises InputError for a take without a person, and for files that exist.
+    overwrite : replace files. log : called with a line for every person and file. Raises InputError for a take without
+    a person, and for files that exist.
     """
     motions = recorded_motions(take, rate_hz)
     planned = [
@@ -79,11 +79,11 @@ def export_take(
         raise InputError(f"{', '.join(existing)} exists", where="--output", remedy=remedy)
     make_folder(folder)
     for body_id, motion in motions.items():
-        tell(f"{body_id}: {describe(motion)}")
+        log(f"{body_id}: {describe(motion)}")
     for body_id, kind, path, write in planned:
         write(motions[body_id], path)
         filled = motions[body_id].gaps and kind in WITHOUT_GAPS
-        tell(f"  {path}{'  (gaps are filled by interpolation)' if filled else ''}")
+        log(f"  {path}{'  (gaps are filled by interpolation)' if filled else ''}")
     return [path for _, _, path, _ in planned]
 
 

@@ -1,7 +1,7 @@
 """A folder of takes: list, name, rename, trim, delete to a bin and bring back; nothing recorded is overwritten.
 
-A take is changed by one rename of its folder, so that it is there whole, under one name or the other. A part of one has
-whole frame sets by their stamps, and everything else by when it was logged.
+A take is changed by one rename of its folder, so that it is always whole, under one name or the other. A trimmed part
+holds whole frame sets by their stamps, and other messages by their log times.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from .measure import SIDECAR_TAKE, finish_take, measure, read_summary
 from .take import Summary, Take, TakeState, check_name
 
 TAKES = "output/takes"
-"""Where takes go unless told otherwise."""
+"""The default folder of takes."""
 BIN = ".bin"
 BINNED = re.compile(r"(?P<name>.+)~(?P<when>\d{8}-\d{6}).*")
 """A deleted take: its name, when it was deleted, and the nanoseconds of that; no name has a tilde."""
@@ -58,7 +58,7 @@ class TakesFolder:
     _seen: dict[Path, tuple[tuple, Take]] = field(default_factory=dict, repr=False)
 
     def takes(self) -> list[Take]:
-        """Return all takes, the newest first; a bag that cannot be read is one that says why."""
+        """Return all takes, the newest first; one of an unreadable bag holds the reason."""
         found: dict[Path, Take] = {}
         for path in self.path.iterdir() if self.path.is_dir() else ():
             with suppress(OSError):  # of a folder that may not be read
@@ -78,14 +78,14 @@ class TakesFolder:
     def new_path(self, name: str) -> Path:
         """Return the folder of a new take: by this name, or by date and time without one.
 
-        Raises InputError for a name that is none, or that a take has already.
+        Raises InputError for an invalid name, or one that a take has already.
         """
         path = self._free(name if name.strip() else time.strftime(f"take-{SAME_DATE}"))
         self.path.mkdir(parents=True, exist_ok=True)
         return path
 
     def rename(self, name: str, new_name: str) -> Path:
-        """Give a take another name. Raises InputError for a bad or taken name, and while it is being recorded."""
+        """Rename a take. Raises InputError for a bad or taken name, and while it is being recorded."""
         return self._settled(name).path.rename(self._free(new_name))
 
     def delete(self, name: str) -> DeletedTake:
@@ -97,7 +97,7 @@ class TakesFolder:
         return DeletedTake(take.path.rename(path), take.name, when)
 
     def deleted(self) -> list[DeletedTake]:
-        """Return what is in the bin, deleted last first."""
+        """Return the bin's takes, deleted last first."""
         names = [match for path in (self.path / BIN).glob("*") if (match := BINNED.fullmatch(path.name))]
         names.sort(key=lambda match: match[0].removeprefix(match["name"]), reverse=True)
         return [DeletedTake(self.path / BIN / match[0], match["name"], match["when"]) for match in names]
@@ -111,17 +111,17 @@ class TakesFolder:
         raise InputError(f"'{name[:100]}' is not in the bin", where=str(self.path / BIN), remedy=f"There is: {known}.")
 
     def empty_bin(self) -> list[DeletedTake]:
-        """Remove what is in the bin for good; returns it."""
+        """Empty the bin for good; return its takes."""
         found = self.deleted()
         for deleted in found:
             if deleted.path.is_symlink():
-                deleted.path.unlink()  # not what it leads to
+                deleted.path.unlink()  # the link, not its target
             else:
                 shutil.rmtree(deleted.path)
         return found
 
     def _free(self, name: str) -> Path:
-        """Return where a take of this name goes. Raises InputError for a name that is none, or that one has already."""
+        """Return the path of a new take. Raises InputError for an invalid name, or one that a take has already."""
         path = self.path / check_name(name)
         if os.path.lexists(path):
             raise InputError(
@@ -130,7 +130,7 @@ class TakesFolder:
         return path
 
     def _settled(self, name: str) -> Take:
-        """Return a take that nobody writes to."""
+        """Return a take that is not being written."""
         take = self.find(name)
         if take.state is TakeState.UNFINISHED and time.time() - _newest_change_ns(take.path) / 1e9 < PATIENCE_S:
             remedy = f"Finish the recording; if its recorder was killed, wait for {PATIENCE_S:.0f} s."
@@ -138,7 +138,7 @@ class TakesFolder:
         return take
 
     def _described(self, path: Path) -> Take:
-        """Describe a take, or say again what was found when nothing in it has changed since."""
+        """Describe a take, from a cache if nothing in it has changed."""
         changed = _signature(path)
         if path not in self._seen or self._seen[path][0] != changed:
             self._seen[path] = changed, describe(path)
@@ -146,7 +146,7 @@ class TakesFolder:
 
 
 def describe(path: Path) -> Take:
-    """Return what is known of a bag by its index, provenance and summary, whatever it holds; raises OSError alone."""
+    """Describe a bag by its index, provenance and summary, even a damaged one; raises OSError alone."""
     take = Take(path, bytes=sum(file.stat().st_size for file in path.glob("*") if file.is_file()))
     if _is_bag(path) and not (path / "metadata.yaml").exists():
         what = "has no index: it is being recorded, or its recorder was killed"
@@ -255,10 +255,10 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
             writer.write(message.topic, message.log_ns, message.data)
 
 
-@cache  # of a few topics, asked of every message
+@cache  # few topics, called for every message
 def _has_stamp(topic: str) -> bool:
-    """Return whether a topic's messages name the frame set that they belong to: the graph's, but what is kept for later
-    subscribers, and diagnostics."""
+    """Return whether a topic's messages carry the stamp of their frame set: the graph's, except latched ones and
+    diagnostics."""
     if kind_of(topic) == STATE or OF_A_CAMERA.match(topic):
         return True
     kind = type_of(topic)
@@ -266,7 +266,7 @@ def _has_stamp(topic: str) -> bool:
 
 
 def _stamp_ns(message: BagMessage) -> int | None:
-    """The stamp of the frame set that a message belongs to, None where it names none."""
+    """Return the stamp of a message's frame set, None if it has none."""
     if kind_of(message.topic) == STATE:
         stamp = values_of(message.decode(DiagnosticStatus)).get("stamp_ns", "")
         return int(stamp) if stamp.isdigit() else None
@@ -274,6 +274,6 @@ def _stamp_ns(message: BagMessage) -> int | None:
 
 
 def _provenance(take: Take, from_s: float, to_s: float | None) -> dict[str, Any]:
-    """Return the take's own provenance, and what the part is of."""
+    """Return the take's own provenance, and the part's origin."""
     origin = {"take": take.name, "from_s": from_s, "to_s": to_s, "trimmed_from": take.trimmed_from}
     return {"software": {}, **read_provenance(take.path), "trimmed_from": origin}

@@ -69,7 +69,7 @@ def _is_wanted(topic: str) -> bool:
 
 @dataclass
 class _Scan:
-    """Collects what the figures are made of, message by message."""
+    """Collects the data of the figures, message by message."""
 
     set_stamps: list[int] = field(default_factory=list)
     incomplete: int = 0
@@ -80,7 +80,7 @@ class _Scan:
     body: str = ""
 
     def update(self, message: BagMessage) -> None:
-        """Add what one message says."""
+        """Add one message."""
         topic = message.topic
         if camera := CAMERA_TOPIC.match(topic):
             self.silhouettes[camera["camera"]].append(message.stamp_ns)
@@ -139,7 +139,7 @@ class _Scan:
         )
 
     def persons(self) -> dict[str, PersonRecord]:
-        """Return the record of each person who was followed, by id."""
+        """Return the record of each tracked person, by id."""
         stamps = np.unique(np.array(self.stamps(), np.int64))
         return {name: _person_record(person, stamps) for name, person in sorted(self.people.items()) if person.points}
 
@@ -162,7 +162,7 @@ def _person_record(person: PersonRows, set_stamps: np.ndarray) -> PersonRecord:
 
 
 def _backgrounds(reports: Sequence[Mapping[str, str]]) -> tuple[Background, ...]:
-    """Return a camera's backgrounds, each as it was described last: what follows the light changes its figures."""
+    """Return a camera's backgrounds, each with its last description: adaptation to light changes the figures."""
     found: dict[tuple[str, str], Background] = {}
     for report in reports:
         if report.get("background"):
@@ -172,7 +172,7 @@ def _backgrounds(reports: Sequence[Mapping[str, str]]) -> tuple[Background, ...]
 
 
 def _increase(reports: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int | None:
-    """Return by how much counters grew from the first report that has them to the last; one that began anew counts."""
+    """Return the growth of counters from their first report to the last, across resets."""
     totals = [sum(int(report[key]) for key in keys) for report in reports if all(key in report for key in keys)]
     if not totals:
         return None
@@ -226,7 +226,7 @@ class Check:
 
 
 def verify(take: Take, progress: Callable[[int], None] = lambda messages: None) -> list[Check]:
-    """Return what every check found; a take that cannot be read has one error."""
+    """Return the findings of every check; an unreadable take has one error."""
     if take.state is not TakeState.WHOLE:
         return [Check(ERROR, take.problem)]
     try:

@@ -1,4 +1,4 @@
-"""What is known of a take, as plain data: who was recorded, by which cameras and backgrounds, and how well."""
+"""Figures of a take, as plain data: its persons, cameras and backgrounds, and their quality."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from capture_rig.errors import InputError
 
 FORMAT = 1
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,79}")
-"""Of a take: a folder's name on every system, and none that leads out of the folder of takes."""
+"""A take's name: a folder's name on every system that does not lead out of the folder of takes."""
 REMEDY = "Measure the take anew: `sagoma takes measure TAKE`."
 
 
@@ -49,7 +49,7 @@ class Background:
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """One camera of a take: what it was, its backgrounds in the order of their use, and frames that it lost.
+    """One camera of a take: its description, its backgrounds in the order of their use, and its lost frames.
 
     frames : silhouettes in the bag. lost : frames that the camera client did not get whole, of those ``expected``
     meanwhile; None where the bag has no diagnostics of it.
@@ -65,7 +65,7 @@ class CameraRecord:
 
 @dataclass(frozen=True)
 class PersonRecord:
-    """How one person was followed.
+    """Figures of one tracked person.
 
     rows : frame sets with a pose. coverage : share of the frame sets from the person's first to the last one that have
     a pose which is not lost. doubtful, lost : share of the poses in that state. sd_mm, sd_95_mm : standard deviation
@@ -110,7 +110,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a take's own messages say of it; ``body`` : the first person's sizes last published, as a body file's text.
+    """Figures from a take's messages; ``body`` : the first person's sizes last published, as a body file's text.
 
     files : name -> size and SHA-256 of the recorded files. measured_by : the software that measured the figures.
     """
@@ -143,8 +143,8 @@ class Take:
 
     state : whether it can be used; problem : why not, with the remedy. began_ns : log time of its first message;
     seconds : of log time; bytes : on disk; topics : messages by topic. software : that recorded it, "" if unknown.
-    trimmed_from : the take, and from and to which second, where it is a part of another. summary : None where the take
-    has none: its figures were not measured, or its recorder was killed.
+    trimmed_from : the take that it is a part of, with first and last second. summary : None where the figures were not
+    measured, or the recorder was killed.
     """
 
     path: Path
@@ -180,7 +180,7 @@ NOT_MEASURED = "not measured"
 def figures(take: Take) -> tuple[str, ...]:
     """Return the columns FIGURES of a take; a dash where a figure is unknown.
 
-    tracked : of the person followed worst; doubtful, ± mm (median standard deviation of a point) : of all poses.
+    tracked : of the person tracked worst; doubtful, ± mm (median standard deviation of a point) : of all poses.
     """
     size = f"{take.bytes / MIB:.1f}"
     if take.summary is None:
@@ -208,14 +208,14 @@ def date(take: Take) -> str:
 
 
 def remark(take: Take) -> str:
-    """Return what sets a take apart: unfinished, damaged, not measured, or of which take it is a part."""
+    """Return a take's remark: unfinished, damaged, not measured, or a part of another."""
     if take.state is not TakeState.WHOLE:
         return str(take.state)
     return origin(take) if take.summary is not None else NOT_MEASURED
 
 
 def origin(take: Take) -> str:
-    """Say of which take it is a part; empty for a whole one."""
+    """Return in words the take that it is a part of; empty for a whole one."""
     part = take.trimmed_from
     if part is None:
         return ""

@@ -1,1 +1,1 @@
-"""The live page: what the graph sees and does, in any browser."""
+"""The live page: the graph's cameras, persons and controls, in any browser."""

@@ -30,17 +30,17 @@ from ..takes.take import MIB
 BUSY, RECORDING = "still busy with: {}", "recording {}"
 Work = Callable[[], str]
 Deliver = Callable[[str, bytes], None]
-"""Gives a file of this name to who asked for it."""
+"""Sends a file of this name to the browser that requested it."""
 
 
 class Jobs:
-    """Runs requests one after the other's end, and says what came of each; a request while one runs is refused."""
+    """Runs one request at a time and reports its result; a request while one runs is refused."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._running = ""
         self.said = ""
-        """What the last request said last."""
+        """The last report of the last request."""
         self.cancelled = threading.Event()
 
     def request(self, what: str, work: Work) -> bool:
@@ -55,7 +55,7 @@ class Jobs:
         return True
 
     def report(self, text: str) -> None:
-        """Show this until something else is said."""
+        """Show this text until the next report."""
         self.said = text
 
     def _run(self, what: str, work: Work) -> None:
@@ -74,7 +74,7 @@ class Jobs:
 def add_buttons(
     gui: viser.GuiApi, label: str, acts: Mapping[str, Callable[[Deliver], object]], hint: str | None = None
 ) -> None:
-    """Add a row of buttons, and what each does; it is given a function that sends a file to who pressed it."""
+    """Add a row of buttons with their actions; an action gets a function that sends a file to the browser."""
     group = gui.add_button_group(label, tuple(acts), hint=hint)
 
     def clicked(event: viser.GuiEvent) -> None:
@@ -84,17 +84,17 @@ def add_buttons(
     group.on_click(clicked)
 
 
-# what the buttons ask for ---------------------------------------------------------------------------------------------
+# the buttons' requests ------------------------------------------------------------------------------------------------
 
 
 RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
 
 
 class Control:
-    """Does what the graph's buttons ask for, as work of ``jobs``; a recording goes on between two requests."""
+    """Executes the requests of the graph's buttons as work of ``jobs``; a recording goes on between two requests."""
 
     def __init__(self, link: RosLink, diagnostics: DiagnosticsTable, takes: TakesFolder, jobs: Jobs) -> None:
-        """``takes`` : the folder into which recordings go. ``jobs`` : runs what is asked for."""
+        """``takes`` : the folder of recordings. ``jobs`` : runs the requests."""
         self._link, self._diagnostics, self._takes, self._jobs = link, diagnostics, takes, jobs
         self._lifecycle = LifecycleClient(link.node)
         self._recorder: Recorder | None = None
@@ -110,7 +110,7 @@ class Control:
         if self._recorder is not None:
             self.stop_recording()
 
-    # what can be asked for --------------------------------------------------------------------------------------------
+    # requests ---------------------------------------------------------------------------------------------------------
 
     def bring(self, goal: LifecycleState) -> str:
         """Bring every node to a lifecycle state."""
@@ -121,7 +121,7 @@ class Control:
         return "; ".join(outcome.failures.values()) or f"{len(names)} nodes are {goal}"
 
     def reset(self) -> str:
-        """Forget all persons, and look for them anew."""
+        """Forget all persons, and find them again."""
         requests = {owner: Trigger.Request() for owner in sorted(owners_of(self._link.node, RESET, RESET_TYPE))}
         replies = call_all(self._link.node, Trigger, requests, ANSWER_S, suffix=f"/{RESET}")
         said = [f"{owner}: {reply.message if reply else 'did not answer'}" for owner, reply in replies.items()]
@@ -182,16 +182,16 @@ SHOWN_EVERY = 15  # frames of a video
 
 
 def export_files(takes: TakesFolder, jobs: Jobs, name: str, kind: str, deliver: Deliver) -> str:
-    """Write files of other programs into a take's folder, and give them to who asked, several as one zip."""
+    """Write files of other programs into a take's folder, and send them to the browser, several as one zip."""
     take = takes.find(name)
     formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
-    files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=jobs.report)
+    files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, log=jobs.report)
     _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
     return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
 
 
 def draw_video(takes: TakesFolder, jobs: Jobs, name: str, deliver: Deliver) -> str:
-    """Draw a take's video, unless it has been drawn, and give it to who asked."""
+    """Draw a take's video, unless it has been drawn, and send it to the browser."""
     take = takes.find(name)
     path = take.path / EXPORTS / VIDEO
 

@@ -55,7 +55,7 @@ class LiveGraph:
         self._looked_s = -ROUND_S
 
     def watch(self, *, voxels: bool, pictures: bool) -> None:
-        """Subscribe to what is shown, and, once a round, to persons and cameras who have come: names are not free."""
+        """Subscribe to the shown topics, and once a round to new persons and cameras, as discovery is expensive."""
         now_s = time.monotonic()
         if now_s - self._looked_s < ROUND_S and (voxels, pictures) == self._wanted:
             return
@@ -77,7 +77,7 @@ class LiveGraph:
         self._feed.watch(wanted)
 
     def figures(self) -> dict[str, PersonPose]:
-        """Return everybody of whom something has come within a round, by id."""
+        """Return everybody with a message within the last round, by id."""
         now_s = time.monotonic()
         for body_id, prefix in self._bodies.items():
             if (state := self._feed.pop_newest(f"{prefix}/state")) is not None:
@@ -94,7 +94,7 @@ class LiveGraph:
         return None if cloud is None else read_packet(cloud, VoxelSamples, VOXELS[0]).points_world
 
     def reports(self) -> dict[str, NodeReport | None]:
-        """Return the last report of every node that is in the graph or was heard, by its name in the namespace."""
+        """Return the last report of every node in the graph or with a report, by its name in the namespace."""
         heard = {name for name in self._diagnostics.names() if is_in_graph(self._node, name)}
         namespace = namespace_of(self._node)
         names = sorted(our_nodes(self._node) | heard)
@@ -122,7 +122,7 @@ class LiveGraph:
 
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""A page that is late drops what it missed, and no publisher waits for it."""
+"""A page that is late drops messages, and no publisher waits for it."""
 
 
 class Feed:
@@ -178,12 +178,12 @@ class GraphPanel:
             self._picture_folder = gui.add_folder(None)
 
     def figures(self) -> dict[str, PersonPose]:
-        """Return everybody, and subscribe to what is wanted."""
+        """Return everybody, and subscribe to the requested topics."""
         self.live.watch(voxels=self.voxels.value, pictures=self._pictures.value)
         return self.live.figures()
 
     def show(self) -> None:
-        """Say how every node is; draw the cameras' newest pictures."""
+        """Show every node's state and the cameras' newest pictures."""
         self._states.content = states_html(self.live.reports(), time.monotonic())
         if self._pictures.value:
             self.live.draw_pictures(self._gui, self._picture_folder)
@@ -246,7 +246,7 @@ def states_html(reports: Mapping[str, NodeReport | None], now_s: float) -> str:
 
 
 def _condition(report: NodeReport | None, now_s: float) -> tuple[str, str, str]:
-    """Return a node's colour, figures and what it says."""
+    """Return a node's colour, figures and message."""
     if report is None:
         return GREY, "", UNHEARD
     silent_s = now_s - report.heard_s

@@ -1,4 +1,4 @@
-"""The page: panels beside the scene, and the loop that draws what is new while somebody looks."""
+"""The page: panels beside the scene, and the loop that draws updates while a browser is connected."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .server import Guard, guarded_server
 from .takes_panel import PLAY, TakePlayback, TakesPanel
 
 EVERY_S = 0.25
-"""How often tables, the cameras' pictures and the list of takes are drawn anew."""
+"""Period at which tables, the cameras' pictures and the list of takes are redrawn."""
 
 
 class Page:
-    """Owns the web server; everything is drawn by one thread, and nothing while nobody looks."""
+    """Owns the web server; everything is drawn by one thread, and nothing without a browser."""
 
     def __init__(
         self, guard: Guard, port: int | None, takes: TakesFolder, link: RosLink | None = None, rig: Rig | None = None
@@ -54,7 +54,7 @@ class Page:
         return self.server.get_port()
 
     def play(self, name: str) -> None:
-        """Play a take of the folder, or say why it cannot be."""
+        """Play a take of the folder, or report why it cannot be played."""
 
         def work() -> str:
             self._show(TakePlayback.of(self._takes.find(name)))
@@ -125,7 +125,7 @@ class Page:
                 self._scene.show_voxels(points)
 
     def _draw_panels(self) -> None:
-        """List the takes; say what the last request came to, and how every node is; draw the cameras' pictures."""
+        """Show the takes, the last request's result, every node's state, and the cameras' pictures."""
         self._take_panel.show_takes(self._takes.takes())
         name = self._graph.control.recording if self._graph is not None else ""
         recording, last = RECORDING.format(name), self._jobs.said

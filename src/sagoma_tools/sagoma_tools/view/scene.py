@@ -1,4 +1,4 @@
-"""The room in 3D: floor, cameras, skeletons coloured by how sure each point is, hull voxels; where views stand."""
+"""The room in 3D: floor, cameras, skeletons coloured by uncertainty, hull voxels; viewpoints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..overlays import BONES
 
 Array = np.ndarray
 
-VOXEL_M, VOXEL_COLOUR = 0.006, (120, 140, 200)  # small: whoever is inside is seen
+VOXEL_M, VOXEL_COLOUR = 0.006, (120, 140, 200)  # small, so that the skeleton inside is seen
 FRUSTUM_M, FRUSTUM_LINE_M = 0.2, 0.008
 NAME_ABOVE = np.array([0.0, 0.0, 0.1])
 """Of a name, m above a camera's centre, or a person's point of the head."""
@@ -27,7 +27,7 @@ FOV_RAD = np.deg2rad(50.0)
 AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-22.5), np.deg2rad(15.0)
 LEVEL = np.cos(ELEVATION_RAD)
 BACKWARD = np.array([LEVEL * np.cos(AZIMUTH_RAD), LEVEL * np.sin(AZIMUTH_RAD), np.sin(ELEVATION_RAD)])
-"""Whence a view looks: from above, and from the front to the right, between the cameras of a ring of four or eight."""
+"""Direction of a viewpoint: above, at the front right, between the cameras of a ring of four or eight."""
 ROOM = np.array([[-1.4, -1.4, 0.0], [1.4, 1.4, 2.2]])
 """Corners of the room that is shown while no rig is known, m."""
 PERSON_M = 1.2
@@ -136,7 +136,7 @@ class PersonPose:
 
 
 class DrawnPerson:
-    """One person in a viser scene, sent once and then moved; viser sends what has changed."""
+    """One person in a viser scene, sent once and then moved; viser sends the changes."""
 
     def __init__(self, scene: viser.SceneApi, body_id: str, figure: PersonPose) -> None:
         points, colours = figure.points_world.astype(np.float32), confidence_colours(figure)
@@ -160,7 +160,7 @@ class DrawnPerson:
         self._label.position = figure.points_world[HEAD][0] + NAME_ABOVE
 
     def remove(self) -> None:
-        """Take the person out of the scene."""
+        """Remove the person from the scene."""
         for node in (self._joints, self._head, self._bones, self._label):
             node.remove()
 

@@ -1,9 +1,9 @@
-"""The page's web server, viser's, on a socket that we opened, and the guard that is asked about every request first.
+"""The page's web server, viser's, on a socket that we opened, and the guard that checks every request first.
 
-viser has no hook for requests and messages, so the websockets server that it starts is given ours. The page is for
-programs of this machine, or for who has the token; never for a page of another origin: a browser lets any website open
-a WebSocket to localhost. A request's Host must be one that we serve (else a website could point a name of its own at
-us), a WebSocket's Origin must be this page, and where the page is open to other machines a token is needed, which a
+viser has no hook for requests and messages, so we pass ours to the websockets server that it starts. The page is for
+programs of this machine, or for holders of the token; never for a page of another origin: a browser lets any website
+open a WebSocket to localhost. A request's Host must be one that we serve (else a website could point a name of its own
+at us), a WebSocket's Origin must be this page, and where the page is open to other machines a token is needed, which a
 first visit exchanges for a cookie.
 """
 
@@ -74,7 +74,7 @@ class Guard:
         return refuse("this page needs its token: open the address that `sagoma view` printed")
 
     def _is_ours(self, hostname: str | None) -> bool:
-        """Names are believed on loopback only; from other machines the token protects, whatever they call us."""
+        """Hosts are checked on loopback only; from other machines the token protects, under any name."""
         return hostname in LOOPBACK if self.host in LOOPBACK else bool(hostname)
 
 
@@ -93,7 +93,7 @@ def _equal(given: str, token: str) -> bool:
 
 
 def refuse(why: str, status: http.HTTPStatus = http.HTTPStatus.FORBIDDEN) -> Response:
-    """The response to who is not served."""
+    """The response to a refused request."""
     body = f"sagoma view: {why}\n".encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
     return Response(status, status.phrase, headers, body)
@@ -133,7 +133,7 @@ class GuiUpdate(Sent):
 
 
 async def next_message(receive: Callable[[], Awaitable[Any]], control_of: ControlOf, log: logging.Logger) -> bytes:
-    """Return the next message that viser may read, and log what is left out before it."""
+    """Return the next message that viser may read, and log the dropped ones before it."""
     while True:
         data = await receive()
         fault = fault_of(data, control_of)
@@ -143,7 +143,7 @@ async def next_message(receive: Callable[[], Awaitable[Any]], control_of: Contro
 
 
 def fault_of(data: str | bytes, control_of: ControlOf) -> str:
-    """Say why a message is none of this page's; empty when it is one."""
+    """Return why a message is not this page's; empty when it is."""
     if isinstance(data, str):
         return "text"
     try:
@@ -174,22 +174,22 @@ def _fits(value: object, control: Any) -> bool:
 
 PORT = 8080
 TRIED_PORTS = 100
-"""The port of a page for which none was asked, and how many after it are tried while they are taken."""
+"""The default port of a page, and the number of ports after it that are tried while they are in use."""
 MOST_BYTES = 1 << 20
 """Of a message from a browser: the page has nothing to upload."""
 NO_HOST = "Give one of this machine's addresses (`ip address` lists them), or 0.0.0.0 for all."
 FRAMING = "Content-Security-Policy", "frame-ancestors 'none'"
 """No other page may show ours in a frame, where a click meant for theirs would press our buttons."""
 HANDSHAKE_FAILED = "opening handshake failed"
-"""How websockets calls a connection that asks for nothing: browsers open such in advance."""
+"""websockets' message for a connection without a request: browsers open such in advance."""
 _log = logging.getLogger("sagoma.view")
 
 
 def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
-    """Start a page's server that asks the guard first. ``port`` : 0 for any, None for PORT or the next free one.
+    """Start a page's server behind the guard. ``port`` : 0 for any, None for PORT or the next free one.
 
-    Raises InputError when it cannot listen there; RuntimeError when this viser starts its server in another way: then
-    nothing is served.
+    Raises InputError when it cannot listen there; RuntimeError, serving nothing, when this viser starts its server in
+    another way.
     """
     rich.get_console().quiet = True  # viser prints an address without the token
     server: viser.ViserServer | None = None
@@ -257,7 +257,7 @@ def _serving(guard: Guard, listening: socket.socket, control_of: Callable[[str],
 
 
 def _in_one_line(record: logging.LogRecord) -> bool:
-    """Log what failed without its traceback, and connections that ask for nothing not at all."""
+    """Log failures without their traceback, and connections without a request not at all."""
     if record.exc_info:
         record.msg, record.args = f"{record.getMessage()}: {shortened(repr(record.exc_info[1]))}", ()
         record.exc_info = None

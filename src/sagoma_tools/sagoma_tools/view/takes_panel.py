@@ -1,4 +1,4 @@
-"""Takes beside the scene: a list, one that is played with slider and curves, and what can be done with it."""
+"""Takes beside the scene: a list, one that is played with slider and curves, and its actions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SIDES = ("left", "right")
 PLOTTED = {"knee_flexion": 1.0, "elbow_flexion": 1.0, "shoulder_elevation": -1.0, "hip_flexion": 1.0}
 """Angles that are drawn (docs/reference/points.md), each with the sign that makes bent or raised limbs positive."""
 HELD_S = 0.1
-"""A pose is shown over so long a gap: sets that a graph at its limit leaves out, not a person who is lost."""
+"""Longest gap over which a pose is shown: of sets that a graph at its limit leaves out, not of a lost person."""
 PLOT_POINTS = 1000
 """Of a curve: more than a page is wide."""
 
@@ -43,8 +43,8 @@ PLOT_POINTS = 1000
 class TakePlayback:
     """Plays in real time, again and again, from the first pose on; second 0 is the take's first frame set.
 
-    begins_ns : stamp of second 0. seconds : how long the take is. first_pose_s : when somebody is tracked first.
-    position_s : what is shown now.
+    begins_ns : stamp of second 0. seconds : length of the take. first_pose_s : of the first tracked pose. position_s :
+    the second shown now.
     """
 
     take: Take
@@ -79,7 +79,7 @@ class TakePlayback:
         self.position_s = min(max(seconds, 0.0), self.seconds)
 
     def figures_at(self, now_s: float) -> dict[str, PersonPose]:
-        """Move on to this moment, unless paused, or nobody has looked for a while; return everybody who is there."""
+        """Move on to this moment, unless paused or without a browser for a while; return everybody there."""
         if self.playing and now_s - self._moved_s < ROUND_S:
             self.position_s += now_s - self._moved_s
             if self.position_s > self.seconds:
@@ -196,7 +196,7 @@ class TakesPanel:
 
     @property
     def chosen(self) -> str:
-        """The name that the list stands on; empty while there is none."""
+        """The selected name; empty while there is none."""
         return self._choice.value if self._choice.value in self._takes else ""
 
     def show_takes(self, takes: Sequence[Take]) -> None:
@@ -233,7 +233,7 @@ class TakesPanel:
             _set(self._position, round(playback.position_s, 2))
 
     def _show_curves(self) -> None:
-        """Draw the angles of the person who is chosen."""
+        """Draw the angles of the chosen person."""
         self._remove_curves()
         if self._playback is None or self._person.value not in self._playback.motions:
             return
@@ -259,7 +259,7 @@ class TakesPanel:
             _set(self._choice, name)
 
     def _play(self, begin: Callable[[str], None]) -> None:
-        """Play what is chosen; go on with it where it is being played."""
+        """Play the chosen take, or resume it."""
         playback = self._playback
         if playback is not None and playback.take.name == self.chosen:
             self._go_on(playback)
@@ -307,7 +307,7 @@ def _set(handle: Any, value: object) -> None:
 
 
 def about_html(take: Take) -> str:
-    """Return what is known of a take as HTML."""
+    """Return the figures of a take as HTML."""
     if take.problem:
         return f'<div style="{TEXT}; color: #f0aa1e">{escape(take.problem)}</div>'
     cells = " &nbsp; ".join(

@@ -37,6 +37,7 @@ from .normal_equations import (
     mirror_upper,
     no_sums,
     pose_columns,
+    robust_weight,
 )
 from .normal_equations import TANGENT as POSE
 from .posed_model import BodyModel, place
@@ -153,8 +154,7 @@ def sum_rays(rays, match, gate, sums):
     """Add the rays' residuals to the sums of their capsules, with Geman-McClure weights."""
     weight = np.empty(match.separation.shape[0])
     for i in range(weight.shape[0]):
-        ratio = 1.0 + (match.separation[i] / gate) ** 2
-        weight[i] = rays.information[i] / (ratio * ratio)
+        weight[i] = robust_weight(rays.information[i], (match.separation[i] / gate) ** 2)
     add_to_sums(sums, match.capsule, match.along, rays.rows[NORMAL : NORMAL + 3], weight, match.distance)
 
 

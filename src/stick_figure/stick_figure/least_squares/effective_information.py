@@ -23,7 +23,7 @@ import numpy as np
 from capture_rig.kernel import njit
 
 from .contour_factor import NORMAL, SURFACE_GATE_M
-from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
+from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums, robust_weight
 from .point_factor import add_point_residuals
 from .posed_model import STICKS
 
@@ -51,8 +51,7 @@ def _add_cells(rays, match, posed, H, g):
     total, count, squares = np.zeros(capsules * CELLS), np.zeros(capsules * CELLS), np.zeros(capsules * CELLS)
     for i in range(n):
         c = cell_of_ray(posed, match.capsule[i], match.along[i], rays.rows, i)
-        ratio = 1.0 + (match.separation[i] / SURFACE_GATE_M) ** 2
-        cell[i], weight[i] = c, 1.0 / (ratio * ratio)
+        cell[i], weight[i] = c, robust_weight(1.0, (match.separation[i] / SURFACE_GATE_M) ** 2)
         total[c] += weight[i]
         count[c] += 1.0
         squares[c] += min(match.separation[i], SURFACE_GATE_M) ** 2

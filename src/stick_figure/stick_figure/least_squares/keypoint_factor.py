@@ -18,7 +18,7 @@ from capture_rig.kernel import kernel, njit
 from capture_rig.session import WRIST_FRACTION
 
 from .. import kernels
-from .normal_equations import CHAIN_COLUMNS
+from .normal_equations import CHAIN_COLUMNS, robust_weight
 
 # Thresholds: docs/reference/points.md for the places; the gate is that of a normal distribution.
 HIP_ASIDE_M = 0.025  # of the detectors' hips beside the joint's centre
@@ -95,8 +95,7 @@ def add_keypoints(keypoints, posed, scale, H, g):
     slots, E = np.empty(CHAIN_COLUMNS, np.int64), np.empty((2, CHAIN_COLUMNS))
     for i in range(keypoints.score.shape[0]):
         p, q, a, b, c = _residual(keypoints, i, posed, point, D)
-        ratio = 1.0 + _mahalanobis(p, q, a, b, c) / GATE_SIGMAS**2
-        w = scale * keypoints.score[i] / (ratio * ratio)
+        w = robust_weight(scale * keypoints.score[i], _mahalanobis(p, q, a, b, c) / GATE_SIGMAS**2)
         n = kernels.point_jacobian(CARRIER[keypoints.landmark[i]], point, posed.t0, posed.A, posed.axes, J, slots)
         for m in range(n):
             for row in range(2):

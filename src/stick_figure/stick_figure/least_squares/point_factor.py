@@ -23,7 +23,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 
 from .. import kernels
-from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_to_sums, no_sums
+from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_to_sums, no_sums, robust_weight
 from .posed_model import STICKS, columns
 
 
@@ -55,8 +55,7 @@ def match_points(data, posed):
 def robust_weights(data, match):
     """Fill in the Geman-McClure weights, 1/m^2, and the inliers of a match."""
     for i in range(match.squared.shape[0]):
-        ratio = 1.0 + match.squared[i] / data.gate2[i]
-        match.weight[i] = data.information[i] / (ratio * ratio)
+        match.weight[i] = robust_weight(data.information[i], match.squared[i] / data.gate2[i])
         match.inlier[i] = match.squared[i] <= data.gate2[i]
 
 
@@ -231,7 +230,7 @@ def _weigh_voxels(distance, information, gate, normals, weight):
     """normals (3, n) <- unit length; weight (n,) <- Geman-McClure, 0 on a capsule's axis, which has no normal."""
     for i in range(weight.shape[0]):
         x, y, z, e = normals[0, i], normals[1, i], normals[2, i], distance[i]
-        length, ratio = np.sqrt(x * x + y * y + z * z), 1.0 + e * e / (gate * gate)
-        weight[i] = information / (ratio * ratio) if length > 0.0 else 0.0
+        length = np.sqrt(x * x + y * y + z * z)
+        weight[i] = robust_weight(information, e * e / (gate * gate)) if length > 0.0 else 0.0
         length = length if length > 0.0 else 1.0
         normals[0, i], normals[1, i], normals[2, i] = x / length, y / length, z / length

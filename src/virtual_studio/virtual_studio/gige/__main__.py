@@ -51,7 +51,7 @@ EPILOG = f"""talking to a running studio:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the command's arguments to a parser; :func:`run` takes what they parse to."""
+    """Adds the command's arguments to a parser, for :func:`run`."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description, parser.epilog = DESCRIPTION, EPILOG
     add = parser.add_argument
@@ -76,7 +76,7 @@ def speed_argument(text: str) -> float:
     part, bar, whole = text.partition("/")
     with contextlib.suppress(ValueError, ArithmeticError):
         text = repr(int(part) / int(whole)) if bar else text
-    return _SPEED(text)  # which says what is wrong
+    return _SPEED(text)  # raises the error
 
 
 def run(args: argparse.Namespace) -> int:

@@ -88,7 +88,7 @@ class CameraClock:
 
 
 class Acquisition:
-    """Takes one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop.
+    """Acquires one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop.
 
     Exposures begin at instants of the studio's clock (ns), of all cameras with one rate the same.
     """
@@ -117,7 +117,7 @@ class Acquisition:
 
     @property
     def period_ns(self) -> Fraction:
-        """Time between exposures that follow each other by themselves; not shorter than an exposure."""
+        """Time between free-running exposures; not shorter than an exposure."""
         r = self._registers
         if self.source == PERIODIC_SIGNAL:
             rate_hz = 1e6 / r.real("BslPeriodicSignalPeriod")
@@ -172,7 +172,7 @@ class Acquisition:
             self._expose_after(self._now_ns())
 
     def _expose_after(self, after_ns: int) -> None:
-        """Schedule the next exposure of a camera whose exposures follow each other by themselves."""
+        """Schedule the next exposure of a free-running camera."""
         period_ns = self.period_ns
         if self.source == PERIODIC_SIGNAL:  # which the camera's own clock counts
             start_ns = self._clock.utc_of(next_multiple(self._clock.stamp(after_ns), period_ns))

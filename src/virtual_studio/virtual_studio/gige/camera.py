@@ -23,9 +23,9 @@ from .stream import StreamChannel
 class SimulatedCamera:
     """Serves a scene as a camera. start() powers it on, close() ends it for good; also a context manager.
 
-    Several cameras of one process share an event loop (one thread) and a trigger wire; a camera that is given none has
-    its own. ``faults`` can be changed while it runs; ``counters`` tell what has happened.
-    Raises InputError from start() where the address cannot be had.
+    Several cameras of one process share an event loop (one thread) and a trigger wire; without them a camera has its
+    own. ``faults`` can be changed while it runs; ``counters`` count events.
+    Raises InputError from start() where the address is not free.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class SimulatedCamera:
         self.loop.call(self._power_off)
 
     def power_on(self) -> None:
-        """Starts anew: registers as after power-on, a new clock, nobody in control."""
+        """Restarts: registers as after power-on, a new clock, nobody in control."""
         self.loop.call(self._power_on)
 
     @property
@@ -86,7 +86,7 @@ class SimulatedCamera:
         return self._powered.registers
 
     def status(self) -> dict[str, object]:
-        """Returns what it is doing, for people and for programs."""
+        """Returns its state, for people and for programs."""
         return self.loop.call(self._status)
 
     def __enter__(self) -> SimulatedCamera:

@@ -1,4 +1,4 @@
-"""One simulated camera: its settings, the faults that can be switched on, and what its parts share."""
+"""One simulated camera: its settings, the faults that can be switched on, and the state that its parts share."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .registers import Registers
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """A simulated GigE Vision camera. What a client sets by feature is only the value after power-on here.
+    """A simulated GigE Vision camera. Settings that are features, too, are the values after power-on.
 
-    nominal_exposure_us : at this exposure and 0 dB the picture is as bright as the scene gives it. max_packet_size :
+    nominal_exposure_us : at this exposure and 0 dB the picture has the scene's brightness. max_packet_size :
     bytes of the largest stream packet, IP header included. ptp_offset_ns : typical offset from the master once in step.
     seed : of noise, clock offset and packet loss.
     """
@@ -110,9 +110,9 @@ _LIMITS = {"packet_loss": (0, 1), "light": (0, 10), "stamp_jump_ns": (-LARGEST_I
 
 
 def free_address() -> str:
-    """Finds a loopback address whose GVCP port is free; another call gives another one, mostly.
+    """Finds a loopback address whose GVCP port is free, mostly another one at each call.
 
-    Raises InputError where the system lends none.
+    Raises InputError without a free one.
     """
     for _ in range(1000):
         address = ipaddress.IPv4Address(random.randint(0x7F00_2001, 0x7FFF_FFC8))  # 127.0.32.1 to 127.255.255.200
@@ -123,7 +123,7 @@ def free_address() -> str:
 
 
 def is_free(address: str) -> bool:
-    """Tells whether a camera can listen at this address."""
+    """Returns whether a camera can bind to this address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, PORT))

@@ -40,8 +40,8 @@ LARGEST_COMMAND = 2048
 class GvcpServer:
     """Serves one camera's control channel on its address, port 3956. Raises InputError if the address is not free.
 
-    ``owner`` is the application that has control: the first that asked, until it lets go or its heartbeat stops; then
-    the acquisition ends.
+    ``owner`` is the application that has control: the first to request it, until it releases it or its heartbeat stops;
+    then the acquisition ends.
     """
 
     def __init__(self, device: Device, acquisition: Acquisition, stream: StreamChannel) -> None:
@@ -113,7 +113,7 @@ class GvcpServer:
         if peer == self.owner:  # any command of the owner is a heartbeat
             self._heard_ns = time.monotonic_ns()
         if packet.command == Command.PACKET_RESEND:
-            # stream receivers ask from a socket of their own, on the owner's machine
+            # stream receivers send requests from a socket of their own, on the owner's machine
             if self.owner is not None and self.owner[0] == peer[0]:
                 self._stream.resend(*decode_resend(packet.payload))
             return

@@ -28,7 +28,7 @@ _NOISE_PIXELS = 1 << 21
 
 
 class ImagingPipeline:
-    """Turns what the scene shows into the picture that leaves the camera, (H, W) or (H, W, 3) uint8.
+    """Turns the scene's picture into the camera's, (H, W) or (H, W, 3) uint8.
 
     Keeps limits and payload size true whenever region, binning or format change. While ExposureAuto or GainAuto run,
     the feature that they control cannot be written; its value stays.

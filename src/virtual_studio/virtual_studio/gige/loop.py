@@ -19,7 +19,7 @@ from capture_rig.stamps import UTC, CaptureClock
 
 T = TypeVar("T")
 _LONGEST_WAIT_NS = 1_000_000_000  # the cameras' clock may be set meanwhile
-_FINE_NS = 2_000_000  # asyncio's timers are up to a millisecond late: what is left is slept
+_FINE_NS = 2_000_000  # asyncio's timers are up to a millisecond late: the last part of a wait is slept
 
 
 Timer = asyncio.Task[None]
@@ -29,8 +29,7 @@ Timer = asyncio.Task[None]
 class EventLoop:
     """Callbacks for readable sockets and for instants of the cameras' clock (ns), one at a time, in one thread.
 
-    clock : the time of everything that a camera does but for what goes by the network's pace (:meth:`call_later`);
-        UTC, unless in slow motion.
+    clock : the cameras' time, UTC unless in slow motion; the network has its own pace (:meth:`call_later`).
 
     Everything that a camera does happens in here, so that its parts need no locks; other threads come in by
     :meth:`call`. An error in one callback is logged (by asyncio, whose loop this is); the others go on.
@@ -55,7 +54,7 @@ class EventLoop:
         self._loop.close()
 
     def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
-        """Runs a coroutine in the loop and returns what it returns; from any other thread."""
+        """Runs a coroutine in the loop and returns its result; from any other thread."""
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result()
 
     def call_at(self, when_ns: int, callback: Callable[[], object]) -> Timer:
@@ -63,11 +62,11 @@ class EventLoop:
         return self._loop.create_task(self._run_at(when_ns, callback))
 
     def call_later(self, delay_ns: int, callback: Callable[[], object]) -> Timer:
-        """Calls back after so long, whatever the speed of the cameras' clock. Only from within the loop."""
+        """Calls back after a UTC delay, whatever the speed of the cameras' clock. Only from within the loop."""
         return self.call_at(self.clock.at_utc(time.time_ns() + delay_ns), callback)
 
     def call(self, callback: Callable[[], T]) -> T:
-        """Runs in the loop's thread and returns what it returns (or raises); from any thread."""
+        """Runs a function in the loop's thread and returns its result (or raises); from any thread."""
         if threading.current_thread() is self._thread:
             return callback()
         if not self._thread.is_alive():
@@ -101,10 +100,9 @@ def default_path() -> Path:
 
 
 def serve_requests(path: Path, loop: EventLoop, handle: Callable[[Request], Request]) -> None:
-    """Answers each request with what ``handle`` returns, called within the loop; InputErrors become {"error": ...}.
+    """Answers each request with the result of ``handle``, called within the loop; InputErrors become {"error": ...}.
 
-    Connections end with the loop, the socket's name is the caller's to remove. Raises InputError where it cannot be
-    had.
+    Connections end with the loop; the caller removes the socket's name. Raises InputError where it is in use.
     """
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -1,4 +1,4 @@
-"""A camera's features and its register memory: what may be read and written where, and what happens then.
+"""A camera's features and its register memory: accesses, limits and effects.
 
 Each feature is one row of a table, from which both the register memory and the GenICam description are made.
 """
@@ -24,7 +24,7 @@ FILE_SPACE = 0x8_0000
 
 
 Kind = Literal["Integer", "Float", "Enumeration", "Boolean", "Command", "String"]
-"""What a feature looks like to a client, a node's tag; registers hold big-endian integers, doubles or texts."""
+"""A feature's kind, a GenICam node's tag; registers hold big-endian integers, doubles or texts."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Feature:
 
     category : "" of a register that no client sees by name.
     address, length : its register, bytes; address -1: wherever there is room.
-    default : value after power-on; low, high, step : limits of what may be written.
+    default : value after power-on; low, high, step : limits of writes.
     high_of : the feature that holds the upper limit instead.
     entries : an enumeration's names and values.
     bits : (first, last), counted from the lowest: this feature is only a part of the register at its address, which
@@ -59,7 +59,7 @@ class Feature:
 
 
 def placed(features: list[Feature]) -> tuple[Feature, ...]:
-    """Gives an address to each register that has none."""
+    """Assigns an address to each register without one."""
     found, free = [], FEATURE_SPACE
     for feature in features:
         if feature.address < 0:
@@ -89,7 +89,7 @@ def hidden(name: str, address: int, default: Value = 0, length: int = 4, writabl
 
 
 class RegisterError(Exception):
-    """An access that the camera refuses, with the status that says why."""
+    """A refused access, with its status."""
 
     def __init__(self, status: Status) -> None:
         super().__init__(status.name)
@@ -100,7 +100,7 @@ class Registers:
     """Big-endian registers, one a feature. Clients come by address, the camera itself by name.
 
     A client's write is checked against access and limits, then by ``checks[name]`` (which may raise RegisterError), and
-    when it stands, ``writes[name]`` is called. ``reads[name]`` makes the value anew whenever a client reads it.
+    then ``writes[name]`` is called. ``reads[name]`` computes the value whenever a client reads it.
     Registers of the standard that no row describes read as zero.
     """
 

@@ -1,6 +1,6 @@
 """Renders the virtual room live, for all cameras of a rig: a person in it, or a set-up in phases.
 
-One thread renders for all cameras; what it renders depends on the scene, when on the cameras.
+One thread renders for all cameras: the scene's content, at the cameras' instants.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class RenderedSet(NamedTuple):
 
 
 class RoomScene(StudioScene):
-    """A person who moves in the room, rendered live for all cameras of a rig while they look.
+    """A person who moves in the room, rendered live for all cameras of a rig while they expose.
 
-    A thread of its own renders the room for an instant at which a camera looked. It is rarely as fast as they are: a
-    camera that looks meanwhile sees the newest picture once more, and so do the others that look at that instant.
+    A thread of its own renders the room for an instant at which a camera exposed. It is rarely as fast as they are:
+    exposures meanwhile get the newest picture once more, those of one instant the same.
     """
 
     playback: Playback
@@ -68,13 +68,13 @@ class RoomScene(StudioScene):
         note = f"rendered live, at most {RENDER_HZ:g} times a second: pictures in between are repeated"
         super().__init__(rig, views, Playback(len(self._poses), SESSION_FPS, clock), True, (note,))
         self._shortest_ns = round(1e9 / most_hz)
-        self._asked_ns = 0  # the last instant that cameras asked for
+        self._asked_ns = 0  # the last instant that cameras requested
         self._newest = self._chosen = RenderedSet(0, {})  # of which the latter is seen at that instant
         self._renderer = ThreadPoolExecutor(1, "room")
         self._rendering = Future[RenderedSet]()
 
     def render(self, instant_ns: int) -> Mapping[str, Image]:
-        """Renders what each camera sees at an instant while the room is occupied."""
+        """Renders each camera's view at an instant while the room is occupied."""
         capsules = self._person.place(self._poses[self.playback.frame_at(instant_ns)])
         shadow = floor_shadow(capsules)
         return {name: _picture(camera.render(capsules, shadow)[0]) for name, camera in self._cameras.items()}
@@ -118,7 +118,7 @@ class LiveView:
 
 
 class SetupScene(RoomScene):
-    """Phases of a set-up: nobody; a board before each camera; a board on the floor; one carried about; the person.
+    """Phases of a set-up: empty room; a board before each camera; a board on the floor; one carried about; the person.
 
     ``phase`` is the one that is shown, from the empty room on.
     """
@@ -146,7 +146,7 @@ class SetupScene(RoomScene):
         return self._phase if self.playback.occupied else EMPTY
 
     def show(self, phase: str) -> str:
-        """Switches to a phase ("next": the one after this), which begins anew; returns its name. Raises InputError."""
+        """Switches to the start of a phase ("next": the one after this); returns its name. Raises InputError."""
         if phase == NEXT:
             phase = PHASES[(PHASES.index(self.phase) + 1) % len(PHASES)]
         if phase not in PHASES:

@@ -23,7 +23,7 @@ from ..rendering.camera import Image
 
 SECOND_NS = 1_000_000_000
 PLAY_AFTER_NS = 1_500_000_000
-"""A playback begins so long after the request (of UTC), so that whoever asked can get ready."""
+"""Delay (of UTC) from the request to the playback, in which the client can get ready."""
 
 
 class CameraScene(Protocol):
@@ -34,14 +34,14 @@ class CameraScene(Protocol):
         """(H, W) of grey pictures, (H, W, 3) of coloured ones (BGR)."""
 
     def image(self, instant_ns: int) -> Image:
-        """Returns the picture at an instant (studio's clock, ns), uint8; nobody changes it later. Must be quick."""
+        """Returns the picture at an instant (studio's clock, ns), uint8, not to be changed later. Must be quick."""
 
 
 @dataclass(eq=False)
 class StudioScene:
-    """What the cameras of a rig see: their ``views`` by name, the ``playback`` behind them (None: a test pattern).
+    """The scene of a rig's cameras: their ``views`` by name, the ``playback`` behind them (None: a test pattern).
 
-    can_be_empty : the empty room can be shown. notes : for people.
+    can_be_empty : the empty room can be shown. notes : to be printed.
     """
 
     rig: Rig
@@ -125,7 +125,7 @@ class Playback:
         return float(self._fps)
 
     def play(self, at_ns: int | None = None, loop: bool = True) -> int:
-        """Begins anew: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
+        """Restarts: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
 
         It is rounded to a whole multiple of the frame period, where free-running cameras expose. Before, frame 0 is
         seen; without ``loop`` the last frame stays.
@@ -157,7 +157,7 @@ LOADERS = 2
 
 @dataclass(frozen=True, eq=False)
 class SessionView:
-    """One camera's pictures of a session, all in memory: frames (F of them), and of the empty room (none, or more)."""
+    """One camera's pictures of a session, all in memory: F frames, and any number of the empty room."""
 
     playback: Playback
     frames: tuple[Image, ...]
@@ -177,9 +177,8 @@ class SessionView:
 def load_session_scene(session: Session, memory_mb: float = 800.0, clock: CaptureClock = UTC) -> StudioScene:
     """Decodes a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
 
-    Of frames that do not fit a note says so.
-
-    Raises InputError when not even one frame a camera fits, or a video cannot be read.
+    A note tells of frames that do not fit. Raises InputError when not even one frame a camera fits, or a video cannot
+    be read.
     """
     names = session.rig.names
     budget = memory_mb * 1e6 / len(names)
@@ -212,7 +211,7 @@ def _background(session: Session, name: str, budget: float, grey: bool) -> list[
 
 
 def _decode(path: Path, budget: float, grey: bool | None = None) -> tuple[list[Image], int]:
-    """Return the first frames of a video, as many as fit into ``budget`` bytes, at least one; and how many it has.
+    """Return the first frames of a video, as many as fit into ``budget`` bytes, at least one; and its frame count.
 
     grey : whether colour is left out; None: where the first frame has none.
     """
@@ -228,4 +227,4 @@ def _decode(path: Path, budget: float, grey: bool | None = None) -> tuple[list[I
     if frames[0].nbytes > budget:
         size, remedy = f"one frame has {frames[0].nbytes / 1e6:.1f} MB", "Give the studio more memory (--memory)."
         raise InputError(size, where=str(path), remedy=remedy)
-    return frames, max(video.frame_count, len(frames))  # a raw stream's header does not tell
+    return frames, max(video.frame_count, len(frames))  # a raw stream's header has no count

@@ -29,7 +29,7 @@ Packet = tuple[bytes, bytes | memoryview]
 class Block:
     """One block as it goes over the wire: packet 0 the leader, 1 ... n the payload, n + 1 the trailer.
 
-    bodies : of the packets; they must not change as long as these may be asked for again.
+    bodies : of the packets; they must not change as long as a resend may be requested.
     """
 
     block_id: int
@@ -60,7 +60,7 @@ class StreamChannel:
         self._socket.close()
 
     def discard_blocks(self) -> None:
-        """Forgets what was sent: a new acquisition begins."""
+        """Forgets the sent blocks: a new acquisition begins."""
         self._blocks.clear()
 
     def send(self, block_id: int, leader: bytes, data: NDArray[np.uint8], trailer: bytes) -> None:
@@ -94,7 +94,7 @@ class StreamChannel:
         return address, self._registers.integer("GevSCPHostPort") & 0xFFFF
 
     def _kept(self, packets: int) -> NDArray[np.bool_]:
-        """Draw which of so many packets (n,) the network does not lose; the others are counted."""
+        """Draw which of n packets (n,) the network does not lose; count the others."""
         loss = self._faults.packet_loss
         kept = self._rng.random(packets) >= loss if loss else np.ones(packets, np.bool_)
         if not kept.all():

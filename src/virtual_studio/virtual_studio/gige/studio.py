@@ -28,7 +28,7 @@ PERSON_SCENE, SETUP_SCENE = "person", "setup"
 
 @dataclass(frozen=True)
 class StudioSettings:
-    """A studio and what it shows. Without a session the built-in person moves in the built-in room, rendered live."""
+    """Settings of a studio. Without a session the built-in person moves in the built-in room, rendered live."""
 
     session: str = setting("", "Session folder whose footage the cameras see")
     cameras: int = setting(5, "Cameras of the built-in rig, the last one on the ceiling", low=1, high=32)
@@ -67,9 +67,9 @@ def make_studio_scene(settings: StudioSettings) -> StudioScene:
 class Studio:
     """Runs N simulated cameras in one process and one thread; start() and close(), or a context manager.
 
-    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` what they see,
-    ``setup`` the same where it is a set-up, whose cameras are still to be calibrated.
-    Raises InputError for a session that cannot be read, or an address that is taken.
+    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` their scene,
+    ``setup`` the same if it is a set-up, whose cameras are still to be calibrated.
+    Raises InputError for a session that cannot be read, or an address that is in use.
     """
 
     def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Reads Biovision hierarchy files (BVH) as positions of named joints over time, and finds out who is who among them.
+"""Reads Biovision hierarchy files (BVH) as positions of named joints over time, and assigns roles to the joints.
 
 A file is a tree of joints with offsets, and channels frame by frame. A joint's position in its parent is its OFFSET; a
 position channel takes that axis's place. Its rotation is the product of its rotation channels in the order in which the
@@ -43,7 +43,7 @@ class _Joint:
 def read_bvh(path: str | Path) -> tuple[dict[str, Array], float]:
     """Reads world positions (F, 3) of the joints by name, in the file's axes and unit of length, and frames a second.
 
-    End sites are called JOINT_end. Raises InputError naming the file, and what in it is not BVH.
+    End sites are called JOINT_end. Raises InputError naming the file and the invalid part.
     """
     text = read_text(path, "Give the path of a BVH file.")
     try:
@@ -64,7 +64,7 @@ def read_bvh(path: str | Path) -> tuple[dict[str, Array], float]:
 
 
 def _numbers(words: Sequence[str]) -> Array:
-    """Raises ValueError, which says what is no number."""
+    """Parses numbers. Raises ValueError naming an invalid one."""
     values = np.array(words, float)
     if not np.isfinite(values).all():
         raise ValueError(f"{words[int(np.argmin(np.isfinite(values)))]} is no number")

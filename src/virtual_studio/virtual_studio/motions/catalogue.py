@@ -43,13 +43,13 @@ STEPS_GRID_HZ = 120.0
 GRID_HZ = 4 * STEPS_GRID_HZ
 """The same along the circle, where an instant takes less time to compute."""
 WEIGHT_SHIFT_S = 0.05
-"""Smoothing of the torso's speed: over how long the weight passes from foot to foot; the feet slide that much."""
+"""Smoothing of the torso's speed: time in which the weight passes from foot to foot, with some sliding of the feet."""
 OVERRUN_S = 5 * WEIGHT_SHIFT_S
-"""How far the steps go on past the end, so that the smoothing does not see it."""
+"""Time by which the steps continue past the end, so that the smoothing does not reach it."""
 HEIGHT_SMOOTHING_S = 0.5 * WEIGHT_SHIFT_S
 """Smoothing of its height: feet may sink by millimetres where one takes over from the other."""
 SOFT_FLOOR_M = 0.01
-"""How smoothly the standing foot changes: width of the soft minimum of the heights of what may touch the floor."""
+"""Width of the soft minimum of the contact spheres' heights: smoothness of the change of the standing foot."""
 
 MotionFunction = Callable[..., Motion]
 """(body, seconds, fps) and optionally the build (`VolumetricBody`) to a motion."""
@@ -59,8 +59,8 @@ MotionFunction = Callable[..., Motion]
 class HardCase:
     """A motion that trackers are known to fail at; the feet stay where they stand.
 
-    activities: of a person of given sizes; start_xy: where that person's torso begins, m; things: that fit a motion
-    from its beginning to its end; cut_s: what is left out of the end, where the last activity fades into the first.
+    activities: of a person of given sizes; start_xy: first place of the torso, m; things: that fit a motion from its
+    beginning to its end; cut_s: time cut off the end, where the last activity fades into the first.
     """
 
     activities: Callable[[VolumetricBody], Timeline]
@@ -74,7 +74,7 @@ class HardCase:
         motion = motion_by_steps(person, seconds, fps, timeline, self.start_xy)
         if self.things is None:
             return motion
-        whole = motion  # too short a one does not tell where the things are
+        whole = motion  # too short a one does not determine the places of the things
         if len(motion.poses) < round(self.duration_s * fps):
             whole = motion_by_steps(person, self.duration_s, fps, timeline, self.start_xy)
         return replace(motion, things=self.things(person, whole))
@@ -122,10 +122,10 @@ def motion_by_steps(
 
 
 class _Support:
-    """What a pose with its torso's centre at the origin rests on.
+    """Contacts of a pose with its torso's centre at the origin.
 
     height: of the torso's centre when the lowest contact sphere is on the floor, m; xy (c, 2) m of the contact
-    spheres; weights (c,) how much of the body each carries, all zero in the air.
+    spheres; weights (c,) share of the body that each carries, all zero in the air.
     """
 
     def __init__(self, person: VolumetricBody, blend: Array, heading: float) -> None:
@@ -139,7 +139,7 @@ class _Support:
         self.weights = weights if blend[LIFT] == 0.0 else np.zeros_like(weights)
 
     def step_to(self, after: _Support) -> Array:
-        """Displacement (2,) of the torso's centre, m, while what carries the body stays where it is."""
+        """Displacement (2,) of the torso's centre, m, while the carrying spheres stand still."""
         return -0.5 * (self.weights + after.weights) @ (after.xy - self.xy)
 
 

@@ -52,7 +52,7 @@ def _raising_arms(t: float) -> Array:
 
 
 def _step_on_spot(angles: Array, t: float, hip: float, knee: float) -> None:
-    """Lifts one leg after the other: bends hip and knee in angles (18,) by so much, rad."""
+    """Lifts one leg after the other: bends hip and knee in angles (18,) by given angles, rad."""
     for phase, leg in ((0.0, left), (np.pi, right)):
         step = (0.5 + 0.5 * np.cos(2 * np.pi * STEP_HZ * t + phase)) ** 2
         angles[leg("hip_y")] -= hip * step

@@ -172,7 +172,7 @@ def jump(person: VolumetricBody) -> Timeline:
         if flown_s > 0.0:
             knee = TAKE_OFF_KNEE - straightened * (1.0 - np.exp(-flown_s / STRAIGHTEN_S))
             risen = TAKE_OFF_M_S * flown_s - 0.5 * g * flown_s * flown_s
-            lift = max(risen - (length(knee) - length(TAKE_OFF_KNEE)), 0.0)  # less what the legs have straightened
+            lift = max(risen - (length(knee) - length(TAKE_OFF_KNEE)), 0.0)  # less the straightening of the legs
         elif to_crouch_s > 0.0:
             hip_m = length(CROUCHED_KNEE) + 0.5 * TAKE_OFF_M_S / push_s * to_crouch_s**2
             knee = float(2.0 * np.arccos(min(hip_m / leg, 1.0)))
@@ -206,7 +206,7 @@ BAR_M = 0.022
 """Radius of the bars that panels are made of; they overlap by a quarter."""
 SEAT_DEPTH_M, SEAT_WIDTH_M, BACK_HEIGHT_M = 0.40, 0.44, 0.44
 BEHIND_HIPS_M = 0.17
-"""How far the back rest is behind the hips of somebody who leans on it."""
+"""Distance of the back rest behind the hips of somebody who leans on it."""
 BACK_TILT_RAD = 0.28
 KNEES_FREE_M = 0.08
 """How far the seat ends before the hollow of the knees."""
@@ -216,7 +216,7 @@ BOX_M = (0.30, 0.36, 0.28)
 BENT_THIGHS, BENT_CALVES, BENT_RAD = 0.55, 0.30, 1.05
 """How legs and trunk are bent at the box, rad."""
 PALM_M = 0.035
-"""From the stick of a hand to what the palm touches."""
+"""Distance from the stick of a hand to the thing that the palm touches."""
 TIPS_AHEAD_M = 0.06
 """How far finger tips reach past the middle of the box."""
 GRASP_S, LIFTED_S, PICKED_S = 1.3, 2.4, 3.0

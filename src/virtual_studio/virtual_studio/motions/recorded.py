@@ -82,7 +82,7 @@ class RecordedMotion:
     def figure(self, leg_m: float, fps: float) -> list[Pose]:
         """Reads poses of a stick figure of the file's own, at ``fps`` frames a second, by cubic splines through time.
 
-        leg_m : how long the person's legs are to be, hip to ankle; the file's unit does not matter.
+        leg_m : length of the person's legs, hip to ankle; the file's unit does not matter.
         World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be
         read.
         """
@@ -99,7 +99,7 @@ class RecordedMotion:
     def reference_points(self, leg_m: float) -> tuple[Array, float]:
         """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``; frames a second.
 
-        The file's wrist stands for the finger tip, and the head's joint for its tip where the file has none: they lie
+        The file's wrist is used as the finger tip, and the head's joint as its tip where the file has none: they lie
         on the same sticks, whose directions alone are played.
         """
         placed, fps = read_bvh(self.path)
@@ -136,7 +136,7 @@ def _leg(joint: dict[str, Array]) -> float:
 
 
 def is_motion_file(name: str) -> bool:
-    """Tells a motion file's name from that of a built-in motion."""
+    """Returns whether a name is a motion file's, not a built-in motion's."""
     return Path(name).suffix.lower() == SUFFIX
 
 

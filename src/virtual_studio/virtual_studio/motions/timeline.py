@@ -30,10 +30,10 @@ STAND_S = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Things:
-    """What is beside the person.
+    """Things beside the person.
 
-    standing: there since before, part of the empty room, and never moved. carried: another thing, one per frame (none:
-    empty), which is part of the empty room until the person takes it in frame ``taken``, and seen with the person then.
+    standing: part of the empty room, never moved. carried: another thing, one per frame (none: empty), which is part of
+    the empty room until the person takes it in frame ``taken``, and belongs to the person's silhouette then.
     """
 
     standing: Capsules
@@ -41,7 +41,7 @@ class Things:
     taken: int = 0
 
     def room(self, frame: int) -> Capsules:
-        """What hides the person and is none of it in a frame; the same object as long as it stays the same."""
+        """Things that hide the person in a frame; the same object as long as they stay the same."""
         return self.untouched if self.carried and frame < self.taken else self.standing
 
     def foreground(self, person: Capsules, frame: int) -> Capsules:
@@ -79,7 +79,7 @@ def stance(
     turning: float = 0.0,
     walking: float = 0.0,
 ) -> Array:
-    """Makes what a body does at an instant, (24,).
+    """Makes the state of a body at an instant, (24,).
 
     angles: (18,) rad; lean: rotation vector of the torso in its heading frame; lift: metres of the lower foot above the
     floor; turning: rad/s of the heading; walking: share of the circle's walking speed (`everyday`).

@@ -1,7 +1,7 @@
-"""What several persons do together: pass each other, shake hands, hug and part; come later, leave and come back.
+"""Motions of several persons together: pass each other, shake hands, hug and part; come later, leave and come back.
 
-Feet stay where they stand, as in the hard cases. How far a walk goes depends on the legs, so that each person's walks
-last as long as that person needs for them.
+Feet stay where they stand, as in the hard cases. The length of a step depends on the legs, so that walks last as long
+as each person needs.
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ HANDSHAKE_M, HUG_M = 0.92, 0.26
 HAND_HEIGHT_M = 1.02
 SHAKE_M, SHAKE_HZ = 0.04, 2.0
 APART_X_M, APART_Y_M = 0.75, 0.25
-"""Half of how far apart two people are who pass each other, along their way and across it."""
+"""Half of the distance of two people who pass each other, along their way and across it."""
 MIDDLE = np.array([APART_X_M, APART_Y_M])
 """Halfway between the two, as each of them sees it from the start."""
 BACK_M = 0.45
 APPROACH_STEPS = 6
-"""Bisections of how long a walk takes: to a few centimetres."""
+"""Bisections of a walk's duration: to a few centimetres."""
 BESIDE_M = 0.95
 PROBES_S, PROBE_HZ = (0.0, 0.4, 0.7, 1.0, 1.5, 2.0, 4.0), 10.0
-"""Walks (s) that tell how long a person has to walk for a way."""
+"""Durations (s) of sample walks, from which the duration for a way is interpolated."""
 CROWD_M = 0.75
 """How far from the middle each of four people stands: one of them can hold out the arms without touching another."""
 TURN_S = 1.7
 CROWD = ((CROWD_M, 0.0), np.pi), ((-CROWD_M, 0.0), 0.0), ((0.0, CROWD_M), -np.pi / 2), ((0.0, -CROWD_M), np.pi / 2)
 """Where each of them stands, m, and faces, rad: inward."""
 OUTSIDE_M = 2.4
-"""Where somebody is who is not in the volume yet, from its middle."""
+"""Distance from the volume's middle of somebody who is not in it yet."""
 
 
 @dataclass(frozen=True)
 class Role:
-    """What one of the persons does.
+    """The part of one of the persons.
 
-    activities : of a person of given sizes. start_xy m, heading rad : where the torso begins, and what it faces.
+    activities : of a person of given sizes. start_xy m, heading rad : place and heading of the torso at the start.
     """
 
     activities: Callable[[VolumetricBody], Timeline]
@@ -84,7 +84,7 @@ class Role:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Roles of several persons, and how long (s) it takes them to play them once."""
+    """Roles of several persons, and their duration (s)."""
 
     roles: tuple[Role, ...]
     seconds: float
@@ -119,7 +119,7 @@ def staying(person: VolumetricBody) -> Timeline:
 
 
 def one_after_another(person: VolumetricBody, number: int) -> Timeline:
-    """Takes the T-pose when it is this one's turn, from 0; when all four have, turns round, steps in and back again."""
+    """Holds the T-pose at this person's turn, from 0; when all four have, turns round, steps in and back again."""
     before, after = hold(0.6 + TURN_S * number, STANDING), hold(TURN_S * (3 - number), STANDING)
     steps = turn(2.0 * np.pi), walk(person, 0.2), walk(person, -0.2), hold(1.0, STANDING)
     return Timeline((before, hold(TURN_S, T_POSE_ANGLES), after, *steps), t_pose_s=0.0)
@@ -140,7 +140,7 @@ TOGETHER: Mapping[str, Ensemble] = {
 
 
 def walk(person: VolumetricBody, way_m: float) -> Activity:
-    """Walks so far ahead, or backward if negative, from standing to standing."""
+    """Walks a distance ahead, or backward if negative, from standing to standing."""
     duration_s = float(np.interp(abs(way_m), _ways(person), PROBES_S))
     if way_m >= 0.0:
         return Activity(duration_s, walking)
@@ -182,7 +182,7 @@ def _torso_height(person: VolumetricBody) -> float:
 
 
 def _approach(person: VolumetricBody, done: Sequence[Activity], near_m: float) -> Activity:
-    """Return the walk that takes the person, after what is done, so near to the middle."""
+    """Return the walk that takes the person, after the activities so far, to a distance from the middle."""
     low_s, high_s = 0.2, 3.0
     for _ in range(APPROACH_STEPS):
         there = Activity(0.5 * (low_s + high_s), walking)
@@ -193,7 +193,7 @@ def _approach(person: VolumetricBody, done: Sequence[Activity], near_m: float) -
 
 
 def _end_of(person: VolumetricBody, activities: Sequence[Activity]) -> tuple[Array, float]:
-    """Where (2,) m, and facing where (rad), these activities leave somebody who begins at the origin, facing +x."""
+    """Return place (2,) m and heading (rad) after the activities of somebody who begins at the origin, facing +x."""
     timeline = Timeline((*activities, hold(9.0, STANDING)))
     until_s = T_POSE_S + sum(activity.duration_s for activity in activities) + FADE_S
     last = motion_by_steps(person, until_s, PROBE_HZ, timeline, (0.0, 0.0)).poses[-1]

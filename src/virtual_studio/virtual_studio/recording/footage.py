@@ -1,9 +1,8 @@
-"""Writes what setting up a room takes: footage for intrinsics, a board on the floor, a carried board, a person.
+"""Writes the footage of a room's set-up: for intrinsics, a board on the floor, a carried board, a person.
 
 intrinsics/camNN.mp4, floor/camNN.png, moving/camNN.mp4, board.yaml (waved before each camera),
 floor_board.yaml (the one on the floor, and carried), and session/ with camNN.mp4, camNN_background.mp4 and
-session.yaml: to be tracked, it lacks nothing but rig.yaml. For scoring only: truth_rig.yaml, truth_floor.yaml and
-truth.csv.
+session.yaml: only rig.yaml is missing for tracking. For scoring only: truth_rig.yaml, truth_floor.yaml and truth.csv.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ SESSION, TRUTH = "session", "truth.csv"
 BOARD_FILE, FLOOR_BOARD_FILE = "board.yaml", "floor_board.yaml"
 TRUTH_RIG_FILE, TRUTH_FLOOR_FILE = "truth_rig.yaml", "truth_floor.yaml"
 FIRST_FRAME = {INTRINSICS: 0, FLOOR: 100_000, MOVING: 200_000}
-"""Numbers of the first frames as the sensor counts, so that no noise repeats."""
+"""Numbers of the first frames for the sensor's noise, so that none repeats."""
 HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 """An A3 print: waved before each camera."""
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
@@ -49,10 +48,10 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class FootagePlan:
-    """What is filmed, and how.
+    """Plan of the footage.
 
     hand_board : waved before each camera; floor_board : lies on the floor, and is carried. fps : of the videos.
-    brief : half the places in front of each camera. moving_s : how long the board is carried.
+    brief : half the places in front of each camera. moving_s : time of carrying the board.
     seed, noise, flicker : see `Sensor`.
     """
 
@@ -77,9 +76,9 @@ def write_setup(
 ) -> Path:
     """Films the boards, the empty room and a person who does ``motion``, with every camera of a rig, into ``folder``.
 
-    Without a motion the boards alone. The same plan gives the same pictures. ``progress`` is called with what was
-    filmed. An older folder of this function is replaced; returns ``folder``. Raises InputError for a folder that holds
-    anything else, and as `write_session` does.
+    Without a motion the boards alone. The same plan gives the same pictures. ``progress`` is called with the name of
+    each finished film. An older folder of this function is replaced; returns ``folder``. Raises InputError for a folder
+    that holds anything else, and as `write_session` does.
     """
     folder, plan = Path(folder), plan or FootagePlan()
     with replaced_folder(folder, lambda found: is_own(found, DESCRIPTION)) as partial:
@@ -102,7 +101,7 @@ def write_setup(
             write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
             (session / TRUTH).rename(partial / TRUTH)
             for path in [session / "rig.yaml", session / "body.yaml", *session.glob("*_mask.*")]:
-                path.unlink()  # what is unknown before the calibration
+                path.unlink()  # unknown before the calibration
             progress(SESSION)
     return folder
 
@@ -163,7 +162,7 @@ class _BoardFilms:
         self._sensor = Sensor(plan.noise, plan.flicker, plan.seed)
 
     def film_waved(self, number: int) -> str:
-        """Film the board that is waved before one camera; returns what was filmed."""
+        """Film the board that is waved before one camera; returns the film's name."""
         camera, plan = self._cameras[number].camera, self._plan
         waved = wave(camera, self._hand, plan.seed + sum(camera.name.encode()), plan.brief)
         with VideoFile(self._folder / INTRINSICS / f"{camera.name}{FOOTAGE}", plan.fps) as video:
@@ -198,5 +197,5 @@ class _BoardFilms:
     def _expose(
         self, number: int, frame: int, board: BoardPrint, path: PosePath, t: float, people: Capsules | None = None
     ) -> Image:
-        """Take a camera's picture of a board on its path at time t (the middle of the exposure), s."""
+        """Return a camera's picture of a board on its path at time t (the middle of the exposure), s."""
         return self._sensor.expose(self._cameras[number].film(board, path, t, people), number, frame)

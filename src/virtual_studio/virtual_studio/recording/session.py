@@ -2,7 +2,7 @@
 
 Files: camNN.mp4, camNN_background.mp4, camNN_mask.mkv (lossless), rig.yaml, truth.csv, body.yaml, session.yaml; of the
 second person truth_2.csv and body_2.yaml, and so on.
-Everything follows from the arguments: the same seed gives the same pictures. The folder appears whole or not at all.
+The same arguments, with the same seed, give the same pictures. The folder appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ FOOTAGE, LOSSLESS = ".mp4", ".mkv"
 SESSION_FPS = 60.0
 BACKGROUND_S = 1.5
 FIRST_BACKGROUND_FRAME = 1_000_000
-"""Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
+"""Number of the first background frame for the sensor's noise, so that none repeats in the footage."""
 POINT_COLUMNS = {
     "neck": 2, "head_top": 1, "l_shoulder": 3, "r_shoulder": 4, "l_elbow": 7, "r_elbow": 8, "l_hand_tip": 11,
     "r_hand_tip": 12, "l_hip": 5, "r_hip": 6, "l_knee": 9, "r_knee": 10, "l_ankle": 13, "r_ankle": 14,
@@ -54,7 +54,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """How a session looks.
+    """Appearance of a session.
 
     seed: of noise and flicker; noise: standard deviation of a pixel, grey levels; flicker: relative deviation of a
     frame's brightness; shadow: on the floor; build: thickness of the body over the average's.
@@ -104,7 +104,7 @@ def write_scene(
 ) -> Path:
     """Renders a scene of several persons (`motions.together.TOGETHER`) as :func:`write_session` does one person.
 
-    persons: one for each role; outfits: what they wear, in the same order; those without one wear the usual clothes.
+    persons: one for each role; outfits: in the same order; persons without one wear the usual clothes.
     Raises InputError for a folder that holds anything else.
     """
     motions = TOGETHER[scene].motions(persons, fps)
@@ -204,7 +204,7 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
 
 
 def is_own(folder: Path, description: str = "session.yaml") -> bool:
-    """Tells whether the virtual studio wrote a folder, by what its ``description`` says."""
+    """Returns whether the virtual studio wrote a folder, by its ``description``."""
     try:
         return read_mapping(folder / description, "").get("made_by") == MADE_BY
     except InputError:

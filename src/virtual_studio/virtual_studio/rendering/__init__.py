@@ -1,1 +1,1 @@
-"""Rendering of what a camera sees: bodies, shadows, boards, lens, exposure and sensor noise."""
+"""Rendering of camera images: bodies, shadows, boards, lens, exposure and sensor noise."""

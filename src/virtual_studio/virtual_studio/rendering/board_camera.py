@@ -1,4 +1,4 @@
-"""Renders what one camera sees of calibration boards and who holds them: lens, focus, exposure and noise."""
+"""Renders one camera's view of calibration boards and their holders: lens, focus, exposure and noise."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MOST_INSTANTS = 9
 
 
 class BoardCamera:
-    """Renders the room with a board, and with who holds it, through a camera's own lens."""
+    """Renders the room with a board and its holder through a camera's own lens."""
 
     def __init__(self, camera: CameraModel) -> None:
         self.camera = camera
@@ -80,7 +80,7 @@ class BoardCamera:
 
 
 def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: float) -> Array:
-    """Returns a board's poses (K, 4, 4) while the shutter is open, as many as its motion in the picture asks for."""
+    """Returns a board's poses (K, 4, 4) while the shutter is open; K by its motion in the picture."""
     shutter = np.array([-0.5, 0.5]) * EXPOSURE_S + t
     opened, closed = (camera.project(board.sheet_board @ T[:3, :3].T + T[:3, 3]) for T in map(path, shutter))
     moved_px = float(np.nan_to_num(np.abs(closed - opened)).max())
@@ -98,7 +98,7 @@ def ideal_corners(camera: CameraModel) -> Array:
     return np.ascontiguousarray((rays[:, :2] / rays[:, 2:]).reshape(camera.height + 1, camera.width + 1, 2))
 
 
-# --- Kernels that draw flat prints: what share of each pixel they cover, and how bright it is there.
+# --- Kernels that draw flat prints: coverage and brightness of each pixel.
 #
 # Pixels that lie on one field, or beside the print, take one look-up; those on an edge are sampled. ``ideal``
 # (h + 1, w + 1, 2) are the normalised undistorted image coordinates of the pixels' corners.
@@ -151,7 +151,7 @@ def cast_board(ideal, homographies, greys, texture, edge_distance, offsets, box,
     last row gives the inverse depth, 1/m; greys (K, 2): light from the print's black and white; texture (r, c) uint8,
     0 and 255 for those; edge_distance (r, c) uint8: see `BoardPrint`; offsets (n, 2): where in a pixel to sample;
     box (4,): columns and rows to visit, x0, y0, x1, y1 (end excluded). depth (h, w): distance along the ray, m, of
-    what is drawn already, and hides the print where it is nearer.
+    things drawn already, which hide the print where they are nearer.
     """
     corners, middle = np.empty((4, 2)), homographies[len(homographies) // 2]
     for py in range(box[1], box[3]):

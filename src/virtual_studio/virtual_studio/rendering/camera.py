@@ -1,4 +1,4 @@
-"""Renders what one camera sees of the room and a body in it: light, exact silhouette, and the sensor's grey levels."""
+"""Renders one camera's view of the room and a body in it: light, exact silhouette, and the sensor's grey levels."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ BANDS = 8  # of rows that a rolling shutter exposes at once here: 2 ms apart, in
 
 
 class VirtualCamera:
-    """Renders the room with a body and its shadow through one camera; what does not move is computed once."""
+    """Renders the room with a body and its shadow through one camera; static parts are computed once."""
 
     def __init__(self, camera: CameraModel, view: RoomView | None = None, standing: Capsules | None = None) -> None:
-        """``view`` : what it sees of a room that differs from the usual one (`scene.room.view_room`); ``standing`` :
-        things in the room that hide who is behind them, with their shadow."""
+        """``view`` : its view of a room that differs from the usual one (`scene.room.view_room`); ``standing`` : things
+        in the room that hide people behind them, with their shadow."""
         self.camera = camera
         self._view, self._depth = view or view_room(camera), None
         if standing is not None:
@@ -42,7 +42,7 @@ class VirtualCamera:
         self._shadow_map = cv2.convertMaps(lookup[..., 0], lookup[..., 1], cv2.CV_16SC2)
 
     def empty_room(self) -> Light:
-        """Returns the light of the room with nobody in it."""
+        """Returns the light of the empty room."""
         return self._view.grey
 
     def render(self, capsules: Capsules, shadow: NDArray[np.float32] | None) -> tuple[Light, Image]:
@@ -52,17 +52,17 @@ class VirtualCamera:
         return light, mask
 
     def shaded_room(self, shadow: NDArray[np.float32] | None) -> Light:
-        """Returns the light of the room with a `floor_shadow` in it, and nobody who throws it."""
+        """Returns the light of the room with a `floor_shadow` alone in it."""
         return self._view.grey.copy() if shadow is None else self._view.grey * self._on_floor(shadow)
 
     def empty_room_colour(self) -> Light:
-        """Returns the light (h, w, 3), BGR, of the room with nobody in it."""
+        """Returns the light (h, w, 3), BGR, of the empty room."""
         return self._view.colour
 
     def render_colour(
         self, capsules: Capsules, albedo_bgr: NDArray[np.float64], shadow: NDArray[np.float32] | None
     ) -> tuple[Light, Image]:
-        """Returns what `render` does in colour: light (h, w, 3), and the same silhouette; albedo_bgr (P, 3)."""
+        """Renders in colour: returns light (h, w, 3), and the same silhouette as `render`; albedo_bgr (P, 3)."""
         channels = []
         for room, albedo in zip(np.moveaxis(self._view.colour, 2, 0), albedo_bgr.T, strict=True):
             light = room.copy() if shadow is None else room * self._on_floor(shadow)
@@ -84,12 +84,12 @@ class ExactSilhouettes:
         self.rig = rig
         self._cameras = [(camera, pixel_rays(camera), camera.undistorted_view()) for camera in rig.cameras]
         self._hiding: Capsules | None = None
-        self._depths: dict[str, NDArray[np.float32]] = {}  # of what hides; none: nothing does
+        self._depths: dict[str, NDArray[np.float32]] = {}  # of hiding things, if any
 
     def render(self, capsules: Capsules, hiding: Capsules | None = None) -> dict[str, Image]:
         """Returns each camera's undistorted mask (h, w), 0 or 255, by name.
 
-        ``hiding`` : things in the room that are no silhouette, and nor is what lies behind them.
+        ``hiding`` : things in the room that hide people and are not part of the silhouette.
         """
         if hiding is not self._hiding:
             self._hiding, self._depths = hiding, {}

@@ -28,7 +28,7 @@ CELLS = int(2 * HALF_WIDTH_M / CELL_M)
 """The shadow's map: square cells around the middle of the floor."""
 LAMPS_WORLD = np.array([[1.3, 1.0, 3.4], [-1.4, -0.7, 3.4]])
 LAMP_POINTS = np.array([[-0.22, -0.22, 0.0], [-0.22, 0.22, 0.0], [0.22, -0.22, 0.0], [0.22, 0.22, 0.0]])
-"""Offsets, metres, of the points that stand for one lamp's area."""
+"""Offsets, metres, of the points that sample one lamp's area."""
 DARKNESS = 0.55
 """Share of the floor's light that comes from the lamps; the rest is ambient."""
 BLUR_CELLS = 1.6
@@ -43,8 +43,8 @@ def draw_capsules(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Draws a body into a camera's light (h, w), in place.
 
-    depth : along the ray (h, w), m, of what hides the body where it is nearer; inf elsewhere.
-    Returns depth with the body in it, and the silhouette (h, w), 0 or 255, of what is seen of it.
+    depth : along the ray (h, w), m, of things that hide the body where they are nearer; inf elsewhere.
+    Returns depth with the body in it, and the silhouette (h, w), 0 or 255, of its visible part.
     """
     depth = np.full(light.shape, np.inf, np.float32) if depth is None else depth.copy()
     mask = np.zeros(light.shape, np.uint8)
@@ -189,8 +189,8 @@ def _normal(point, a, b, ra, rb, out):
 def _cast(origin, rays, capsules, boxes, depth, light, mask):
     """Renders capsules into the arrays of one camera.
 
-    origin (3,); rays (h, w, 3); boxes (P, 4). Only pixels on the body are written: depth (h, w), inf or what hides it;
-    light (h, w), reflected light 0..1; mask (h, w), 255.
+    origin (3,); rays (h, w, 3); boxes (P, 4). Only pixels on the body are written: depth (h, w), inf or of hiding
+    things before; light (h, w), reflected light 0..1; mask (h, w), 255.
     """
     nearest = np.full(depth.shape, -1, np.int16)
     eye = origin[0], origin[1], origin[2]
