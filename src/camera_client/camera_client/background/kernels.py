@@ -253,21 +253,6 @@ def _write_largest(seen, level, out):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def follow_running(samples, running, limit, share, differs):  # type: ignore[no-untyped-def]
-    """Write 255 into ``differs`` (h, w), else 0, where samples (C, h, w) uint8 differ by more than ``limit`` (h, w)
-    from a running mean (C, h, w) float32; move that by a ``share`` towards them."""
-    for y in range(len(differs)):
-        to, most = differs[y], limit[y]
-        to[:] = 0
-        for c in range(len(samples)):
-            row, mean = samples[c, y], running[c, y]
-            for x in range(len(to)):
-                rest = F32(row[x]) - mean[x]
-                to[x] |= np.uint8(255) if abs(rest) > most[x] else np.uint8(0)
-                mean[x] += F32(share) * rest
-
-
-@njit(**OPTIONS)
 def clear_absorbed(image, mean, replaced, limit, now, box, values):  # type: ignore[no-untyped-def]
     """Write 0 into ``values``, of every step_px-th row and column, where the image looks as it was absorbed.
 
