@@ -121,7 +121,7 @@ class MocapPipeline:
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_runs.py, contour_rays/)
         result = self.hull.finish(pending)
         # tell each camera where the others see a body: things that moved are seen by none, and become background
-        # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
+        # (consistency/foreground_support.py; camera_client/background/moved_things.py)
         self.report_support(result.support)
         return result.products
 

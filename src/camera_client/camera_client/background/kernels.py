@@ -68,17 +68,6 @@ class Today(NamedTuple):
 
 
 @njit(**OPTIONS)
-def thin_out(image, out):  # type: ignore[no-untyped-def]
-    """Write every STEP_PX-th row and column of an image (H, W, C) into planes (C, h, w) uint8."""
-    for y in range(out.shape[1]):
-        row = image[STEP_PX * y]
-        for c in range(len(out)):
-            to = out[c, y]
-            for x in range(len(to)):
-                to[x] = row[STEP_PX * x, c]
-
-
-@njit(**OPTIONS)
 def refresh_samples(learned, today, first, end, expected, inverse_sigma):  # type: ignore[no-untyped-def]
     """Write the level, without gain and offset, and 1 / sigma of samples, both (C, h, w): of the rows ``first`` to
     ``end``. learned (C, h, w)."""
