@@ -81,7 +81,7 @@ class CameraNode(SagomaNode):
         )
         self.create_service(SetCameraInfo, "set_camera_info", self._on_set_camera_info)
 
-    # --- lifecycle -----------------------------------------------------------------------------------------------
+    # --- lifecycle ----------------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         settings: CameraClientSettings = self.settings
@@ -145,6 +145,8 @@ class CameraNode(SagomaNode):
             self.source.close()
             self.source = None
 
+    # --- connection ---------------------------------------------------------------------------------------------------
+
     def _topic_source(self) -> FrameSource:
         topic, channels, namespace = self.settings.topic, self.settings.channels, self.get_namespace()
         return TopicSource(topic, channels, namespace, self.context, self._use_lens)
@@ -179,6 +181,8 @@ class CameraNode(SagomaNode):
             self._show_background()
         release_free_memory()
 
+    # --- what is made at configure, and destroyed at cleanup ----------------------------------------------------------
+
     def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
         return self._hold(self.destroy_publisher, self.create_publisher(kind, topic, qos))
 
@@ -189,6 +193,8 @@ class CameraNode(SagomaNode):
         self._held.callback(destroy, entity)
         return entity
 
+    # --- when footage begins ------------------------------------------------------------------------------------------
+
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
         acknowledged = not paced or self.count_publishers(graph_topic(self, LATENCY_TOPIC)) > 0
@@ -198,7 +204,7 @@ class CameraNode(SagomaNode):
         self._matched_s = self._matched_s or time.monotonic()
         return time.monotonic() >= self._matched_s + SETTLE_S
 
-    # --- frames, on the grab loop's thread, and what the server says of them ------------------------------------------
+    # --- frames, on the grab loop's thread; what the server says of them ----------------------------------------------
 
     def _on_frame(self, frame: Frame) -> None:
         assert self._stages is not None
@@ -229,7 +235,7 @@ class CameraNode(SagomaNode):
             self.health.count("bad_reports")
             self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
-    # --- background and calibration ------------------------------------------------------------------------------
+    # --- services: background training, calibration -------------------------------------------------------------------
 
     async def _on_learn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         source, loop, processor, settings = self.source, self.loop, self.processor, self.settings
@@ -295,6 +301,8 @@ class CameraNode(SagomaNode):
         shape = self.source.shape if self.source is not None else ()
         height, width = shape[:2] or (info.height, info.width)
         return unplaced_camera(self._calibration.name, width, height)
+
+    # --- report -------------------------------------------------------------------------------------------------------
 
     def _on_report(self) -> None:
         source, loop, processor, stages = self.source, self.loop, self.processor, self._stages

@@ -31,7 +31,7 @@ ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", 
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one subcommand; the statuses are those of docs/reference/commands.md. Users' errors never show a traceback."""
+    """Run one subcommand; statuses: docs/reference/commands.md. Users' errors never show a traceback."""
     try:
         try:
             return run(list(sys.argv[1:] if argv is None else argv))

@@ -68,17 +68,6 @@ class Today(NamedTuple):
 
 
 @njit(**OPTIONS)
-def thin_out(image, out):  # type: ignore[no-untyped-def]
-    """Write every STEP_PX-th row and column of an image (H, W, C) into planes (C, h, w) uint8."""
-    for y in range(out.shape[1]):
-        row = image[STEP_PX * y]
-        for c in range(len(out)):
-            to = out[c, y]
-            for x in range(len(to)):
-                to[x] = row[STEP_PX * x, c]
-
-
-@njit(**OPTIONS)
 def refresh_samples(learned, today, first, end, expected, inverse_sigma):  # type: ignore[no-untyped-def]
     """Write the level, without gain and offset, and 1 / sigma of samples, both (C, h, w): of the rows ``first`` to
     ``end``. learned (C, h, w)."""
@@ -250,21 +239,6 @@ def _write_largest(seen, level, out):  # type: ignore[no-untyped-def]
         most = abs(F32(seen[3 * x]) - level[3 * x])
         most = max(most, abs(F32(seen[3 * x + 1]) - level[3 * x + 1]))
         out[x] = np.uint8(max(most, abs(F32(seen[3 * x + 2]) - level[3 * x + 2])) + F32(0.5))
-
-
-@njit(**OPTIONS)
-def follow_running(samples, running, limit, share, differs):  # type: ignore[no-untyped-def]
-    """Write 255 into ``differs`` (h, w), else 0, where samples (C, h, w) uint8 differ by more than ``limit`` (h, w)
-    from a running mean (C, h, w) float32; move that by a ``share`` towards them."""
-    for y in range(len(differs)):
-        to, most = differs[y], limit[y]
-        to[:] = 0
-        for c in range(len(samples)):
-            row, mean = samples[c, y], running[c, y]
-            for x in range(len(to)):
-                rest = F32(row[x]) - mean[x]
-                to[x] |= np.uint8(255) if abs(rest) > most[x] else np.uint8(0)
-                mean[x] += F32(share) * rest
 
 
 @njit(**OPTIONS)

@@ -20,7 +20,7 @@ from capture_rig.stamps import StampThrottle
 from ..frame_source import LASTING_S, Image, Mask
 from .adaptive import Background
 from .expected_image import Corners, Samples
-from .kernels import BEYOND_NOISE, BLOCK_PX, STEP_PX, USUAL_S, clear_absorbed, follow_running
+from .kernels import BEYOND_NOISE, BLOCK_PX, STEP_PX, USUAL_S, clear_absorbed
 from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
@@ -51,7 +51,6 @@ class MovedThings:
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
         self._limit = _noise_limit(self._learned)
-        self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
         self._noise = self._learned_sigma = float(np.median(noise))
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
@@ -117,7 +116,6 @@ class MovedThings:
         if abs(sigma - self._noise) > 0.2 * self._noise:
             self._noise = sigma
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
-            self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
         self.others.update(stamp_ns)
         # which blocks show anything, and for how long they kept still
         every = STEP_PX // background.step_px
@@ -140,10 +138,10 @@ class MovedThings:
         """Follow the samples by a running mean, and begin anew in blocks that changed by more than noise."""
         if self._running is None:
             self._running = samples.astype(np.float32)
-        share = 1.0 - float(np.exp(-step_s / REST_S))
-        differs = np.empty(samples.shape[1:], np.uint8)
-        follow_running(samples, self._running, self._limit_of_samples, share, differs)
-        restless = self._blocks_of(differs) >= RESTLESS_SHARE
+        rest = samples - self._running
+        differs = (np.abs(rest) > self._limit[::STEP_PX, ::STEP_PX]).any(axis=0)
+        self._running += np.float32(1.0 - np.exp(-step_s / REST_S)) * rest
+        restless = self._blocks_of(np.where(differs, np.uint8(255), np.uint8(0))) >= RESTLESS_SHARE
         if restless.any():
             pixels = self._to_pixels(restless, BLOCK_PX // STEP_PX)[: samples.shape[1], : samples.shape[2]]
             np.copyto(self._running, samples, where=pixels)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import convolve1d
@@ -22,7 +23,7 @@ from capture_rig.stamps import StampThrottle
 from ..background.expected_image import Samples
 from ..background.kernels import BLOCK_PX, OPTIONS, SCALE, STEP_PX, USUAL_S
 from ..frame_source import REPORT_PERIOD_S, Image, Mask
-from .masks import Box
+from .masks import CROSS, Box, enlarged
 
 BITS_MONO, BITS_COLOUR = 6, 5  # of each channel, in the histogram
 # Thresholds: DARK from a sensor's shot and read noise; else judgement.
@@ -86,8 +87,7 @@ class PeopleColours:
         if not self.known:
             return Box(0, 0, 0, 0)
         judge_blocks(samples, distance, levels, self._ratio, self._table, self._bits, (least, most), self._judged)
-        top, left, bottom, right = mark_blocks(self._judged, levels)
-        return Box(top, left, bottom, right)
+        return mark_blocks(self._judged, levels)
 
 
 def noise_bins(bits: int, channels: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
@@ -168,30 +168,13 @@ def judge_blocks(samples, distance, levels, ratio, table, bits, limits, judged):
             judged[row, column] = 2 if total > 0.0 else 0
 
 
-@njit(**OPTIONS)
-def mark_blocks(judged, levels):  # type: ignore[no-untyped-def]
-    """Write UNCERTAIN into the background of the blocks judged 2, and of those judged 1 beside one of them.
-
-    Returns top, left, bottom, right of a box around them; zeros without any.
-    """
-    height, width = levels.shape
-    top, left, bottom, right = height, width, 0, 0
-    for row in range(judged.shape[0]):
-        for column in range(judged.shape[1]):
-            uncertain = judged[row, column] == 2
-            if judged[row, column] == 1:
-                uncertain = (
-                    (row > 0 and judged[row - 1, column] == 2)
-                    or (row + 1 < judged.shape[0] and judged[row + 1, column] == 2)
-                    or (column > 0 and judged[row, column - 1] == 2)
-                    or (column + 1 < judged.shape[1] and judged[row, column + 1] == 2)
-                )
-            if uncertain:
-                y0, x0 = row * BLOCK_PX, column * BLOCK_PX
-                y1, x1 = min(y0 + BLOCK_PX, height), min(x0 + BLOCK_PX, width)
-                for y in range(y0, y1):
-                    for x in range(x0, x1):
-                        if levels[y, x] == BACKGROUND:
-                            levels[y, x] = UNCERTAIN
-                top, left, bottom, right = min(top, y0), min(left, x0), max(bottom, y1), max(right, x1)
-    return (top, left, bottom, right) if bottom else (0, 0, 0, 0)
+def mark_blocks(judged: Mask, levels: Mask) -> Box:
+    """Write UNCERTAIN into the background of the blocks judged 2, and of those judged 1 beside one of them; return a
+    box around them."""
+    sure = np.equal(judged, 2).view(np.uint8)
+    uncertain = sure | (judged & cv2.dilate(sure, CROSS))
+    blocks = Box.around(uncertain)
+    box = Box(*(BLOCK_PX * side for side in blocks)).grown(0, levels.shape)
+    part = levels[box.slices]
+    part[(enlarged(uncertain[blocks.slices], BLOCK_PX, part.shape) > 0) & (part == BACKGROUND)] = UNCERTAIN
+    return box

@@ -191,7 +191,7 @@ def majority_count(side_px: int = MEDIAN_PX) -> int:
 
 # --- the outline: at half contrast, not where the background ends
 
-_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 _DISC_PX = 7
 _DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_DISC_PX, _DISC_PX)), np.uint8)
 
@@ -207,13 +207,13 @@ def trim_outline(person: Mask, change: Mask, least_share: float, colour: bool, t
     change (h, w) uint8 : grey levels between frame and background, in the channel that differs most. times : how many
     times finer the result is: there the share is interpolated, and the outline lies between the pixels.
     """
-    around, trimmed = _DISC if colour else _CROSS, np.zeros([times * n for n in person.shape], np.uint8)
+    around, trimmed = _DISC if colour else CROSS, np.zeros([times * n for n in person.shape], np.uint8)
     part = Box.around(person).grown(_DISC_PX, person.shape).slices
     person = person[part]
     if person.size == 0:
         return trimmed
     difference = cv2.bitwise_and(change[part], person)
-    inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    inside = cv2.erode(person, CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     most = cv2.dilate(difference, around)
     if times > 1:
         share = cv2.max(inside, cv2.min(person, cv2.divide(difference, most, scale=255)))

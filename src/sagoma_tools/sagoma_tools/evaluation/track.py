@@ -228,9 +228,7 @@ FIT_TOPIC = "/icp/fit"
 SHOWN = 3
 VARYING = re.compile(r": step .*|(?<![\w.])[+-]?\d+(?:\.\d+)?")
 """Parts of a reason that may differ between two sets with the same one: the way to step, and numbers outside names."""
-REMEDY = (
-    "What to do about each: docs/how-to/tracking.md, 'Why it refuses'; what is wrong with the rig, sagoma doctor --rig says."
-)
+REMEDY = "What to do about each: docs/how-to/tracking.md, 'Why it refuses'; of the rig: sagoma doctor --rig."
 
 
 def reasons_of_step(step: Step) -> tuple[str, ...]:
