@@ -139,7 +139,7 @@ class AdaptiveBackground:
         """Return what is left at the steep places under the light and noise of now."""
         at, channels = self._steep, self.expected.shape[2]
         out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
-        pixels, (mean, excess) = picture.reshape(-1, channels), self.expected.flat()
+        pixels, mean, excess = (each.reshape(-1, channels) for each in (picture, *self.expected.displaced[:2]))
         now = np.array([self.light.gain, self.light.offset, self.noise.read, self.noise.slope])
         field = self._cell_weights @ self.light.field.reshape(-1, channels)
         take_residuals(pixels, mean, excess, field, at, self._doubted, now, out, trust)

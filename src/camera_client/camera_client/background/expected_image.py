@@ -42,6 +42,7 @@ class ExpectedImage:
     """Level and variance of every pixel, of samples at once and of any part when it is asked for.
 
     Of samples, changes of light and noise act on the rows that are renewed; gain and offset act at once.
+    displaced : what was learned of every pixel, (H, W, C), where the camera looks now.
     """
 
     def __init__(self, model: BackgroundModel, learned_noise: Noise | None, sigma_floor: float) -> None:
@@ -64,11 +65,6 @@ class ExpectedImage:
     def doubtful(self) -> float:
         """Share of the pixels that are white or black, and tell one bound only."""
         return float(np.count_nonzero(self._clipped)) / self._clipped.size
-
-    def flat(self) -> tuple[Floats, Floats]:
-        """Return the background in the light that it was learned in, and variance beyond the noise's, (H W, C)."""
-        mean, excess = (each.reshape(-1, self.shape[2]) for each in self._whole[:2])
-        return mean, excess
 
     # --- what it looks like now
 
@@ -95,7 +91,7 @@ class ExpectedImage:
         (top, left, bottom, right), (height, _, channels) = box, self.shape
         out = np.empty((bottom - top, (right - left) * channels), np.float32)
         found = np.empty((2, bottom - top, right - left), np.uint8)
-        flat = Learned(*(each.reshape(height, -1) for each in self._whole))
+        flat = Learned(*(each.reshape(height, -1) for each in self.displaced))
         look_closely(image.reshape(height, -1), flat, today, self._clipped, (top, left), rows, out, found)
         return out if channels == 1 else out.reshape(bottom - top, right - left, channels), found
 
@@ -119,8 +115,8 @@ class ExpectedImage:
         white, black = (mean >= WHITE_LEVEL).any(axis=2), (mean <= BLACK_LEVEL).all(axis=2)
         self._clipped = np.where(white, np.uint8(WHITE), np.where(black, np.uint8(BLACK), np.uint8(0)))
         self._clipped_samples = np.ascontiguousarray(self._clipped[::STEP_PX, ::STEP_PX])
-        self._whole = Learned(mean, excess, steepness2(mean))
-        thinned = (each[::STEP_PX, ::STEP_PX].transpose(2, 0, 1) for each in self._whole)
+        self.displaced = Learned(mean, excess, steepness2(mean))
+        thinned = (each[::STEP_PX, ::STEP_PX].transpose(2, 0, 1) for each in self.displaced)
         self._thinned = Learned(*map(np.ascontiguousarray, thinned))
         return gradients(mean)
 

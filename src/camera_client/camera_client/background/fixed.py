@@ -7,7 +7,6 @@ from statistics import NormalDist
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
@@ -58,25 +57,18 @@ def limits(model: BackgroundModel, settings: BackgroundSettings) -> tuple[Image,
     """Return the lowest and highest grey level of the background, uint8, shaped as the image; 255, 0 for none.
 
     Thesis 6.3, corrected: a pixel is *foreground* when it is improbable under its background (as printed, the sentence
-    calls almost every background pixel foreground). Both rules ask for |g - mu| <= half width, and so collapse exactly
-    to two images of whole grey levels, lo = ceil(mu - half) and hi = floor(mu + half).
+    calls almost every background pixel foreground). Both rules ask for |g - mu| <= half, and so collapse exactly to two
+    images of whole grey levels. "tail": P(|g - mu| > half) = risk, the same number of sigmas everywhere. "pdf": the
+    density at the limit equals ``risk`` per grey level (as in the HumanEva code), so that a noisier pixel gets fewer
+    sigmas, and one with sigma > 1 / (risk sqrt(2 pi)) none at all.
     """
     mean, sigma = model.mean.astype(float), np.maximum(model.sigma.astype(float), settings.sigma_floor)
-    half = half_width(sigma, settings.rule, settings.risk)
+    if settings.rule == "pdf":
+        log_ratio = np.log(settings.risk * sigma * SQRT_2_PI)
+        half = np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
+    else:
+        half = sigma * -NormalDist().inv_cdf(settings.risk / 2)
     lo, hi = np.ceil(mean - half), np.floor(mean + half)
     never = (half < 0) | (lo > hi)
     lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
     return lo.astype(np.uint8), hi.astype(np.uint8)
-
-
-def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.NDArray[np.float64]:
-    """Return how far a grey level may lie from the mean; negative where no grey level is background.
-
-    "tail": P(|g - mu| > half) = risk, the same number of sigmas everywhere. "pdf": the density at the limit equals
-    ``risk`` per grey level (thesis 6.3, as in the HumanEva code), so that a noisier pixel gets fewer sigmas, and one
-    with sigma > 1 / (risk sqrt(2 pi)) none at all.
-    """
-    if rule != "pdf":
-        return sigma * -NormalDist().inv_cdf(risk / 2)
-    log_ratio = np.log(risk * sigma * SQRT_2_PI)
-    return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
