@@ -43,7 +43,7 @@ class Noise(NamedTuple):
     """Variance of a pixel's grey level in each channel: read + slope level, grey levels squared.
 
     read, slope (C,) float64. correlation : of two channels' noise: codecs err mostly in brightness.
-    spatial_correlation : share that neighbours have in common (:class:`NoiseCorrelationMeter`).
+    spatial_correlation : share that neighbours have in common (:func:`measured_correlation`).
     """
 
     read: npt.NDArray[np.float64]
@@ -139,57 +139,6 @@ def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float
     return np.clip(read + QUANTISATION, LEAST_VARIANCE, MOST_VARIANCE), slope
 
 
-def samples_index(row: Pixels, column: Pixels, width: int) -> Pixels:
-    """Return the index of pixels in even rows and columns of a picture of this width among its samples."""
-    return row // STEP_PX * -(-width // STEP_PX) + column // STEP_PX
-
-
-class NoiseEstimator:
-    """Measures the noise on what shows the background; it is never less than when the room was empty.
-
-    noise : now. learned : of the empty room, None where it was assumed, not measured.
-    """
-
-    def __init__(self, model: BackgroundModel, sigma_floor: float, row: Pixels, column: Pixels) -> None:
-        """``row``, ``column`` (n,) : of the pixels that are measured, even. sigma_floor : grey levels."""
-        self.learned = learned_noise(model) if model.provenance.frames > 1 else None
-        self.noise = self.learned or assumed_noise(model.provenance.mean_noise, model.channels)
-        self._least = self.learned or assumed_noise(sigma_floor, model.channels)
-        self._at = samples_index(row, column, model.shape[1])
-        self._correlation, self._since_s = NoiseCorrelationMeter(row, column, model.shape[1]), 0.0
-
-    def update(
-        self,
-        samples: npt.NDArray[np.uint8],
-        expected: Floats,
-        light: Light,
-        rest: Floats,
-        doubted: npt.NDArray[np.uint8] | None,
-        step_s: float,
-    ) -> None:
-        """Take a frame, ``step_s`` after the one before.
-
-        samples (C, h, w) : of it; expected (C, h w) : their levels, without the light's gain and offset. rest (n, C) :
-        by how much the measured pixels differ. doubted (n,) : 0 where they show the background, None while nothing is
-        known of the foreground.
-        """
-        self._since_s += step_s
-        if self._since_s < (NOISE_S if self._correlation.known else NOISE_S / 3):
-            return
-        level = expected[:, self._at].T * light.gain
-        sure = np.asarray((level + rest < WHITE_LEVEL).all(axis=1))
-        if doubted is not None:
-            sure &= doubted == 0
-        spatial = self._correlation.update(samples, expected, light, sure, self._since_s)
-        found = measured_noise(level[sure], rest[sure], foreground_known=doubted is not None)
-        if found is None:
-            return
-        found = found.at_least(self._least, float(np.median(level[sure])))
-        share = 1 - math.exp(-self._since_s / USUAL_S)
-        self.noise = self.noise.moved(found, share)._replace(spatial_correlation=spatial)
-        self._since_s = 0.0
-
-
 # --- how coarse it is: a sensor's noise is as fine as its pixels, a codec's as coarse as its blocks
 
 # Thresholds: NEAR_PX, FAR_PX from demosaicing and the blocks of codecs; else measured by python bench/rooms.py.
@@ -199,40 +148,6 @@ TAIL_OF_MEDIAN = 9.0  # squared differences beyond so many medians are cut off
 FEW = 100  # samples
 PASSING = 2.0  # times as coarse as what changes at most: codecs that predict frames spread noise less than they keep it
 OPPONENT = np.array([[1 / 3, 1, 0], [1 / 3, -1, -1], [1 / 3, 0, 1]], np.float32)  # BGR: brightness, B - G, R - G
-
-
-class NoiseCorrelationMeter:
-    """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is ``known``."""
-
-    def __init__(self, row: Pixels, column: Pixels, width: int) -> None:
-        """Sample at ``row``, ``column`` (n,) of a picture of this width."""
-        columns = np.minimum(column, width - 1 - FAR_PX) + np.array([[0], [NEAR_PX], [FAR_PX]])
-        self._at = samples_index(row, columns, width)
-        self._before: Floats | None = None
-        self._sure_before = np.zeros(len(row), bool)
-        self._passing: deque[float] = deque(maxlen=2)
-        self.known, self.spatial_correlation = False, 0.0
-
-    def update(
-        self, samples: npt.NDArray[np.uint8], expected: Floats, light: Light, sure: npt.NDArray[np.bool_], step_s: float
-    ) -> float:
-        """Take a frame, ``step_s`` after the last one taken; return the correlation.
-
-        samples, expected : of :meth:`NoiseEstimator.update`. sure (n,) : which pixels show the background.
-        """
-        seen = samples.reshape(len(samples), -1).T[self._at].astype(np.float32)
-        rest = seen - expected.T[self._at] * light.gain - light.offset
-        before, both = self._before, sure & self._sure_before
-        self._before, self._sure_before = seen, sure
-        if before is None:
-            return self.spatial_correlation
-        found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
-        self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
-        if found is not None and len(self._passing) == self._passing.maxlen:
-            share = 1 - math.exp(-step_s / USUAL_S) if self.known else 1.0
-            self.spatial_correlation += share * (min(found, PASSING * min(self._passing)) - self.spatial_correlation)
-            self.known = True
-        return self.spatial_correlation
 
 
 def measured_correlation(own: Floats, near: Floats, far: Floats) -> float | None:
@@ -250,3 +165,76 @@ def measured_correlation(own: Floats, near: Floats, far: Floats) -> float | None
     if (far2 < LEAST_CHANGE).any():
         return None
     return float(np.clip(1 - near2 / far2, 0.0, 1.0).mean())
+
+
+# --- in every frame
+
+
+def samples_index(row: Pixels, column: Pixels, width: int) -> Pixels:
+    """Return the index of pixels in even rows and columns of a picture of this width among its samples."""
+    return row // STEP_PX * -(-width // STEP_PX) + column // STEP_PX
+
+
+class NoiseEstimator:
+    """Measures the noise on what shows the background; it is never less than when the room was empty.
+
+    noise : now. learned : of the empty room, None where it was assumed, not measured.
+    """
+
+    def __init__(self, model: BackgroundModel, sigma_floor: float, row: Pixels, column: Pixels) -> None:
+        """``row``, ``column`` (n,) : of the pixels that are measured, even. sigma_floor : grey levels."""
+        self.learned = learned_noise(model) if model.provenance.frames > 1 else None
+        self.noise = self.learned or assumed_noise(model.provenance.mean_noise, model.channels)
+        self._least = self.learned or assumed_noise(sigma_floor, model.channels)
+        self._at = samples_index(row, column, model.shape[1])
+        columns = np.minimum(column, model.shape[1] - 1 - FAR_PX) + np.array([[0], [NEAR_PX], [FAR_PX]])
+        self._near_and_far = samples_index(row, columns, model.shape[1])
+        self._since_s = 0.0
+        self._spatial_correlation: float | None = None
+        self._before: tuple[Floats, npt.NDArray[np.bool_]] | None = None
+        self._passing: deque[float] = deque(maxlen=2)
+
+    def update(
+        self,
+        samples: npt.NDArray[np.uint8],
+        expected: Floats,
+        light: Light,
+        rest: Floats,
+        doubted: npt.NDArray[np.uint8] | None,
+        step_s: float,
+    ) -> None:
+        """Take a frame, ``step_s`` after the one before.
+
+        samples (C, h, w) : of it; expected (C, h w) : their levels, without the light's gain and offset. rest (n, C) :
+        by how much the measured pixels differ. doubted (n,) : 0 where they show the background, None while nothing is
+        known of the foreground.
+        """
+        self._since_s += step_s
+        if self._since_s < (NOISE_S / 3 if self._spatial_correlation is None else NOISE_S):
+            return
+        level = expected[:, self._at].T * light.gain
+        sure = np.asarray((level + rest < WHITE_LEVEL).all(axis=1))
+        if doubted is not None:
+            sure &= doubted == 0
+        seen = samples.reshape(len(samples), -1).T[self._near_and_far].astype(np.float32)
+        self._update_correlation(seen, seen - expected.T[self._near_and_far] * light.gain - light.offset, sure)
+        found = measured_noise(level[sure], rest[sure], foreground_known=doubted is not None)
+        if found is None:
+            return
+        found = found.at_least(self._least, float(np.median(level[sure])))
+        share = 1 - math.exp(-self._since_s / USUAL_S)
+        self.noise = self.noise.moved(found, share)._replace(spatial_correlation=self._spatial_correlation or 0.0)
+        self._since_s = 0.0
+
+    def _update_correlation(self, seen: Floats, rest: Floats, sure: npt.NDArray[np.bool_]) -> None:
+        """Take a frame; seen, rest (3, n, C) : grey levels of the pixels, near and far, and by how much they differ."""
+        before, self._before = self._before, (seen, sure)
+        if before is None:
+            return
+        found = measured_correlation(*rest[:, sure])
+        passing = measured_correlation(*(seen - before[0])[:, sure & before[1]])
+        self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
+        if found is not None and len(self._passing) == self._passing.maxlen:
+            found, known = min(found, PASSING * min(self._passing)), self._spatial_correlation
+            share = 1 - math.exp(-self._since_s / USUAL_S)
+            self._spatial_correlation = found if known is None else known + share * (found - known)

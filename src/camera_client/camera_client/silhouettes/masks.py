@@ -174,8 +174,6 @@ MEDIAN_PX = 5  # side of the filter by which the thesis's rules decide with the 
 
 def majority(mask: Mask, side_px: int = MEDIAN_PX) -> Mask:
     """The median filter of a mask of 0 and 255, as a box filter: several times faster, and equal for odd sides."""
-    if side_px <= 1:
-        return mask
     mean = cv2.blur(mask, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
     return cv2.threshold(mean, 127, 255, cv2.THRESH_BINARY)[1]
 
