@@ -13,7 +13,7 @@ from mocap_packets.people import AnsweredSet
 from sagoma_ros.messages import LATENCY_TOPIC, latency_message, to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 
-DEADLINE_S = 20.0  # only ever reached by a failing test
+DEADLINE_S = 60.0  # only ever reached by a failing test
 EPOCH_NS = 1_000_000_000_000_000_000
 FRAMES = 30
 NAMESPACE = f"/test_{os.getpid()}"  # a second run of these tests on this machine is not heard
