@@ -158,10 +158,10 @@ class AdaptiveBackground:
         if self._aligner is None:
             return False
         total, image = self.shift.total, picture if picture.shape[2] == 3 else picture[..., 0]
-        found = self._aligner.shift(image, total)
+        found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
         if found is None:
             return False
-        since = Displacement(*found).plus(total, -1.0)
+        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).plus(total, -1.0)
         return since.most_px(self.expected.shape) >= LINEAR_PX and self._move(since, picture, edges)
 
     def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
@@ -177,7 +177,7 @@ class AdaptiveBackground:
 
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
-        self.shift.place(self.expected.place(self.shift.total))
+        self.shift.place(*self.expected.place(self.shift.total))
         row, column = self.shift.row, self.shift.column
         self._steep = np.stack([row * self.expected.shape[1] + column, self._block_index(row, column)])
         self._cell_weights = self.expected.cell_weights(row, column)

@@ -18,7 +18,7 @@ from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_
 from .light import FIELD_ACROSS, FIELD_DOWN, Light
 from .model import BackgroundModel
 from .noise import Noise
-from .shift import Displacement, steepness2
+from .shift import Displacement, gradients, steepness2
 
 # Thresholds: measured by python bench/rooms.py.
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
@@ -106,8 +106,8 @@ class ExpectedImage:
 
     # --- changes
 
-    def place(self, displacement: Displacement) -> Floats:
-        """Move the learned background to where the camera looks now; return it, (H, W, C) grey levels.
+    def place(self, displacement: Displacement) -> tuple[Floats, Floats]:
+        """Move the learned background to where the camera looks now; return its slopes right and down, levels / px.
 
         All rows have to be renewed then.
         """
@@ -118,7 +118,7 @@ class ExpectedImage:
         self.displaced = Learned(mean, excess, steepness2(mean))
         thinned = (each[::STEP_PX, ::STEP_PX].transpose(2, 0, 1) for each in self.displaced)
         self._thinned = Learned(*map(np.ascontiguousarray, thinned))
-        return mean
+        return gradients(mean)
 
     def renew(self, rows: slice, today: Today) -> None:
         """Renew the samples in some rows for the light and noise of now."""
