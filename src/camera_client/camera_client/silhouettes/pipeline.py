@@ -34,18 +34,8 @@ from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
 from .components import PeopleRule, keep_people
-from .evidence import CLEAR, EvidenceFilter, Scene, least_evidence
-from .masks import (
-    Box,
-    BoxUndistorter,
-    ForegroundLocator,
-    Spans,
-    enlarged,
-    halve,
-    majority,
-    majority_count,
-    trim_outline,
-)
+from .evidence import CLEAR, EvidenceFilter, Part, Scene, least_evidence
+from .masks import Box, BoxUndistorter, ForegroundLocator, enlarged, halve, majority, majority_count, trim_outline
 from .shadows import ALIGNMENT_PX, HALVED_NOISE, AttenuationMarker, ColourShadow, FloorShadow
 
 EMPTY, FULL = "empty", "full"
@@ -53,15 +43,6 @@ EMPTY, FULL = "empty", "full"
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 FULL_ABOVE = 0.6  # share of foreground at which a mask is flagged: no person looks like that
-
-
-class Part(NamedTuple):
-    """What is in a box around all foreground; distance (h, w) uint8 : SCALE z^2 of its pixels from the background.
-    spans : of them that are looked at."""
-
-    scene: Scene
-    distance: Mask
-    spans: Spans
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +224,7 @@ class SilhouettePipeline:
         scene = part.scene
         # likelihood ratio test with the neighbourhood, smoothed along edges; of the thesis's rules, a median filter
         if self._evidence is not None:
-            foreground = self._evidence.decide(part.distance, scene, part.spans)
+            foreground = self._evidence.decide(part)
         else:
             foreground = majority(cv2.threshold(part.distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1])
         # shadow suppression
