@@ -303,7 +303,8 @@ def main() -> None:
     if arguments.quick:
         arguments.motion, arguments.sessions, arguments.moments = ["walk"], [], 1
     settings = parse_settings(arguments.settings)
-    motions = {name: moved(name, settings) for name in MOTION_DRILLS} if arguments.motion else {}
+    drills = MOTION_DRILLS if arguments.motion and not arguments.quick else ()
+    motions = {name: moved(name, settings) for name in drills}
     clips = [studio_clip(motion, MOTION_S) for motion in arguments.motion]
     clips += [session_clip(folder, arguments.exact) for folder in arguments.sessions]
     columns = {clip.name: drilled(clip, settings, arguments.moments) for clip in clips}
