@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..frame_source import Image, Mask
 from ..sources.frame_checks import WHITE_LEVEL
-from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
+from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, compare_box, distance_of_samples, refresh_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light
 from .model import BackgroundModel
 from .noise import Noise
@@ -85,14 +85,14 @@ class ExpectedImage:
         distance_of_samples(samples, *looks, today, self._clipped_samples, out)
         return out
 
-    def look(self, image: Image, box: Corners, today: Today, rows: Rows) -> tuple[Floats, Mask]:
-        """Return what :func:`.kernels.look_closely` finds in a box: the grey levels (h, w), of colour images (h, w, 3);
+    def compare(self, image: Image, box: Corners, today: Today, rows: Rows) -> tuple[Floats, Mask]:
+        """Return what :func:`.kernels.compare_box` finds in a box: the grey levels (h, w), of colour images (h, w, 3);
         and (2, h, w) uint8 by how much ``image`` differs."""
         (top, left, bottom, right), (height, _, channels) = box, self.shape
         out = np.empty((bottom - top, (right - left) * channels), np.float32)
         found = np.empty((2, bottom - top, right - left), np.uint8)
         flat = Learned(*(each.reshape(height, -1) for each in self.displaced))
-        look_closely(image.reshape(height, -1), flat, today, self._clipped, (top, left), rows, out, found)
+        compare_box(image.reshape(height, -1), flat, today, self._clipped, (top, left), rows, out, found)
         return out if channels == 1 else out.reshape(bottom - top, right - left, channels), found
 
     def cell_weights(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:

@@ -77,7 +77,7 @@ class Scene:
 
 
 class Part(NamedTuple):
-    """A scene around all foreground. distance (h, w) uint8 : of :func:`..background.kernels.look_closely`; spans : what
+    """A scene around all foreground. distance (h, w) uint8 : of :func:`..background.kernels.compare_box`; spans : what
     of each row and column is looked at."""
 
     scene: Scene
@@ -187,13 +187,13 @@ def smooth_columns(values, weight, rows):  # type: ignore[no-untyped-def]
     """
     height = len(values)
     for y in range(1, height):
-        _take_over(values[y - 1], weight[y], rows[y, 0], rows[y, 1], values[y])
+        _blend_row(values[y - 1], weight[y], rows[y, 0], rows[y, 1], values[y])
     for y in range(height - 2, -1, -1):
-        _take_over(values[y + 1], weight[y + 1], rows[y, 0], rows[y, 1], values[y])
+        _blend_row(values[y + 1], weight[y + 1], rows[y, 0], rows[y, 1], values[y])
 
 
 @njit(**OPTIONS)
-def _take_over(values, weight, first, end, out):  # type: ignore[no-untyped-def]
+def _blend_row(values, weight, first, end, out):  # type: ignore[no-untyped-def]
     other, share, own = values[first:end], weight[first:end], out[first:end]
     for x in range(len(own)):
         own[x] += share[x] * (other[x] - own[x])
