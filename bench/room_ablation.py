@@ -56,9 +56,9 @@ def no_light(self: LightEstimator, samples: Any, *_: Any) -> Any:
     return samples[0] - samples[1]
 
 
-def each_pixel(self: EvidenceFilter, distance: Any, *_: Any) -> Any:
+def each_pixel(self: EvidenceFilter, part: Any) -> Any:
     """Decide pixel by pixel, and by the majority around it."""
-    return majority(np.where(distance > SCALE * CLEAR2, np.uint8(255), np.uint8(0)), 5)
+    return majority(np.where(part.distance > SCALE * CLEAR2, np.uint8(255), np.uint8(0)), 5)
 
 
 def nothing(*_: Any) -> None:

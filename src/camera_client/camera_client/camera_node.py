@@ -52,7 +52,7 @@ T = TypeVar("T")
 TRAINING_GRACE_S = 10.0  # a training goes on when the camera comes back sooner
 SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
-CONSUMER_WAIT_S, CAMERAS_WAIT_S = 5.0, 300.0  # footage waits for somebody who listens; for cameras that are started yet
+CONSUMER_WAIT_S, CAMERAS_WAIT_S = 5.0, 300.0  # timeouts of footage: for a subscriber, for cameras that still start
 SETTLE_S = 4 * POLL_S  # from the first match until both ends of a new connection know each other
 
 
@@ -118,7 +118,7 @@ class CameraNode(SagomaNode):
         self.loop = GrabLoop(
             self.source,
             self._on_frame,
-            self._stages.note_error,
+            self._stages.add_error,
             ready=lambda: live or self._consumer_listens(),
             ready_timeout_s=0.0 if live else (CAMERAS_WAIT_S if self._awaited else CONSUMER_WAIT_S),
         )
@@ -230,7 +230,7 @@ class CameraNode(SagomaNode):
             return
         canvas = self.processor.camera.undistorted_view().camera
         try:
-            self.processor.take_support(read_support(message, canvas.name, canvas.width, SUPPORT_TOPIC))
+            self.processor.add_support(read_support(message, canvas.name, canvas.width, SUPPORT_TOPIC))
         except InputError as error:
             self.health.count("bad_reports")
             self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)

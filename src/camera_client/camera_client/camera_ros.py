@@ -182,9 +182,9 @@ class CameraReport:
             findings=findings,
             result=last[1] if last else NO_RESULT,
         )
-        self._say(*assess(state))
+        self._log_state(*assess(state))
 
-    def _say(self, level: Level, text: str) -> None:
+    def _log_state(self, level: Level, text: str) -> None:
         """Set the level and line of the diagnostics; log when the kind of trouble changes."""
         self._health.status(bytes([level]), text)
         if level is Level.ERROR:
@@ -217,7 +217,7 @@ class FootageClockTopic:
     def open(self) -> None:
         """Take part: this camera is about to play."""
         self._publisher = self._node.create_publisher(TimeReference, self._topic, LATCHED)
-        self._subscription = self._node.create_subscription(TimeReference, self._topic, self._hear, LATCHED_BY_MANY)
+        self._subscription = self._node.create_subscription(TimeReference, self._topic, self._on_clock, LATCHED_BY_MANY)
 
     def close(self) -> None:
         """Take part no longer, and take the announcement back."""
@@ -238,6 +238,6 @@ class FootageClockTopic:
             message.header.stamp = to_stamp(clock.begin_ns)
             publisher.publish(message)
 
-    def _hear(self, message: TimeReference) -> None:
+    def _on_clock(self, message: TimeReference) -> None:
         if message.header.stamp.sec > 0:  # a message without a time would begin before all others
             self.shared.offer(FootageClock(to_ns(message.header.stamp), to_ns(message.time_ref)))

@@ -1,7 +1,7 @@
 """Measures how well a camera's background fits the room now: figures with units, for the diagnostics.
 
-:class:`ConditionWatch` collects them from the silhouette pipeline, twice a second by the frames' stamps; what they mean
-is said by :mod:`.background.causes`. No silhouette depends on either.
+:class:`ConditionWatch` collects them from the silhouette pipeline, twice a second by the frames' stamps;
+:mod:`.background.causes` judges them. No silhouette depends on either.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Condition:
     person_faint: float | None = None  # share of the person that differs by less than 4 sigmas from the background
 
     def values(self) -> dict[str, object]:
-        """Return the keys of the diagnostics; those of what was not measured are there, and empty."""
+        """Return the keys of the diagnostics, with empty values where nothing was measured."""
         return {key: "" if value is None else value for key, value in asdict(self).items()}
 
     def figures(self) -> dict[str, Any]:

@@ -150,10 +150,10 @@ class FrameProcessor:
         elif path:
             open_footage(path).close()
 
-    def take_support(self, report: ForegroundSupport) -> None:
+    def add_support(self, report: ForegroundSupport) -> None:
         """Take what the other cameras see, from any thread; it counts for frames some time after its stamp."""
         if self.pipeline is not None:
-            self.pipeline.take_support(report)
+            self.pipeline.add_support(report)
 
     def run(self, frame: Frame) -> FrameResult:
         """Process one frame. Raises InputError for one of another size or type."""

@@ -23,9 +23,9 @@ from capture_rig.stamps import NS_PER_S
 Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
 # Thresholds: judgement, no measurement.
-REPORT_PERIOD_S = 0.5  # figures for people are measured, and published, so often
-LASTING_S = 3.0  # what lasts for so long counts: a thing that keeps still, another picture, frames lost, no images
-POLL_S = 0.05  # what wakes nobody is asked so often
+REPORT_PERIOD_S = 0.5  # between published figures
+LASTING_S = 3.0  # after which a condition counts: a static thing, another picture, lost frames, no images
+POLL_S = 0.05  # between polls of states without an event
 RELEASE_S = 1.0  # a living device gives its resources back within this, a thread that served it ends
 
 
@@ -219,7 +219,7 @@ class FrameStatistics:
         return step - WRAP_16_BIT if step > WRAP_16_BIT // 2 else step  # a repetition from before the wrap
 
 
-PERIODS = 31  # the frame period is the median of so many steps
+PERIODS = 31  # steps whose median is the frame period
 
 
 class FrameNumbers:

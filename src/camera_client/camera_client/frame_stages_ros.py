@@ -41,7 +41,7 @@ class FrameStages:
         self._segmenter: Worker[tuple[Frame, BegunFrame, float]] | None = None
         self._publisher: Worker[tuple[Frame, FrameResult, float]] | None = None
         if settings.source != "footage":
-            lost, failed = partial(health.count, "frames_unpublished"), self.note_error
+            lost, failed = partial(health.count, "frames_unpublished"), self.add_error
             self._publisher = Worker("publish", self._publish, PUBLISH_DEPTH, on_drop=lost, on_error=failed)
             self._segmenter = Worker("segment", self._segment, 1, on_drop=lost, on_error=failed)
 
@@ -60,7 +60,7 @@ class FrameStages:
             if worker is not None:
                 worker.close(finish=True)
 
-    def note_error(self, error: Exception) -> None:
+    def add_error(self, error: Exception) -> None:
         """Count and log what a frame raised."""
         bad_frame = isinstance(error, InputError)
         self._health.count("bad_frames" if bad_frame else "failed_frames")

@@ -18,13 +18,14 @@ from capture_rig.camera import CameraModel
 from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.stamps import StampThrottle
 
-from .alignment import FEWEST, Alignment, Array, PictureAlignment
+from .alignment import Alignment, Array, PictureAlignment
 from .background.model import BackgroundModel, Provenance
 from .frame_source import LASTING_S, REPORT_PERIOD_S, Image
 from .settings import CameraMovedSettings
 
 # Thresholds: chosen with python bench/camera_faults.py --moved.
-MIN_AGREEMENT = 0.15  # share of the edges, beyond chance, that have to agree on a turn
+SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
+MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = MIN_AGREEMENT / 2  # when fewer agree on anything for LASTING_S, the picture is another one; a search, which
 # costs as much as ten comparisons, is not made more often
@@ -109,7 +110,7 @@ class CameraMovedDetector:
         self._focal_px, self._settings = camera.K[0, 0], settings or CameraMovedSettings()
         self.alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
         self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
-        self._samples: deque[Alignment] = deque(maxlen=FEWEST)
+        self._samples: deque[Alignment] = deque(maxlen=SAMPLES)
         self._throttle = StampThrottle(REPORT_PERIOD_S)
         self._searched_ns, self._unlike_s = -(10**18), 0.0
         self.movement = Movement()
@@ -141,7 +142,7 @@ class CameraMovedDetector:
 
     def _measured(self) -> Movement:
         """Return the median of the last samples; moved when that is more than the limit."""
-        if len(self._samples) < FEWEST:
+        if len(self._samples) < SAMPLES:
             return self.movement
         turn_rad = np.median([sample.turn_rad for sample in self._samples], axis=0)
         gained = float(np.median([sample.agreeing - sample.agreeing_unmoved for sample in self._samples]))

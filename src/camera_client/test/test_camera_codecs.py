@@ -42,7 +42,7 @@ def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(co
     background = AdaptiveBackground(model, BackgroundSettings())
     for frame in range(24):
         image = stored(exposed(np.roll(light, 30 * (frame >= 14), axis=1), rng))
-        background.follow(image, samples_of(image), round(frame * 1e9 / FPS))
+        background.update(image, samples_of(image), round(frame * 1e9 / FPS))
         if frame >= 8:
             correlation = background.noise.spatial_correlation
             assert (correlation > FINE_GRAIN) == codec, (frame, correlation)

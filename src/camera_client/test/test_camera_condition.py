@@ -40,7 +40,7 @@ class Room:
             stamp_ns = self.stamp_ns = self.stamp_ns + 10**9 // hz
             if others is not None:
                 cells = np.full((-(-canvas.height // 8), canvas.width // 8), others, np.uint8)
-                self.processor.take_support(ForegroundSupport(stamp_ns, "cam01", canvas.width // cells.shape[1], cells))
+                self.processor.add_support(ForegroundSupport(stamp_ns, "cam01", canvas.width // cells.shape[1], cells))
             image = change(self.empty[self.frames % 20].astype(float), stamp_ns / 1e9)
             self.processor.run(Frame(np.clip(np.rint(image), 0, 255).astype(np.uint8), stamp_ns, self.frames, "test"))
         return self.processor.condition

@@ -129,7 +129,7 @@ class MocapPipeline:
         """Pass each camera that is segmented here the support of its foreground by the others."""
         for report in reports:
             if report.camera in self.cameras:
-                self.cameras[report.camera].take_support(report)
+                self.cameras[report.camera].add_support(report)
 
 
 class TrackingStage:

@@ -19,7 +19,7 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
 from .fixed import FixedBackground
-from .kernels import BLOCK_PX, HIGHEST, SCALE, STEP_PX, USUAL_S, take_residuals, take_samples
+from .kernels import BLOCK_PX, HIGHEST, SCALE, STEP_PX, USUAL_S, gather_residuals, gather_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import Noise, NoiseEstimator, samples_index
@@ -82,19 +82,19 @@ class AdaptiveBackground:
         """Return how far every ``step_px``-th pixel is from the background: min(255, SCALE z^2), (h, w) uint8."""
         return self.expected.distance(samples, self._today)
 
-    def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
+    def compare(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
         """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8 how
         far the image is from it: min(255, SCALE z^2), and grey levels. ``rows`` : what is looked at."""
-        return self.expected.look(image, box, self._today, rows)
+        return self.expected.compare(image, box, self._today, rows)
 
-    def note_foreground(self, dense: Mask) -> None:
+    def add_foreground(self, dense: Mask) -> None:
         """Take the blocks of this frame (one pixel each, not 0 where foreground is): they count little in the next."""
         self._doubted = np.asarray(cv2.dilate(dense, np.ones((3, 3), np.uint8)).reshape(-1), np.uint8)
         self._foreground_known = True
 
     # --- following
 
-    def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
+    def update(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Take one frame (H, W) or (H, W, 3) of ``stamp_ns``, and its samples, into account."""
         first = self._last_ns is None
         step_s = USUAL_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
@@ -119,7 +119,7 @@ class AdaptiveBackground:
         self._noises.update(samples, self.expected.samples[0], self.light, rest, doubted, step_s)
         # registration: a displacement that lasts, by Gauss-Newton steps; without a cause, one at a time
         for _ in range(MOST_STEPS):
-            if edges is None or not self._follow_shift(picture, edges, touched or first):
+            if edges is None or not self._update_shift(picture, edges, touched or first):
                 break
             if first:
                 self._fit_light(samples, step_s)
@@ -130,7 +130,7 @@ class AdaptiveBackground:
         """Return what is left of the samples (n, C), grey levels."""
         channels, n = len(seen), self._sampled.shape[1]
         samples, trust = np.empty((3, channels, n), np.float32), np.empty(n, np.float32)
-        take_samples(seen.reshape(channels, -1), *self.expected.samples, self._sampled, self._doubted, samples, trust)
+        gather_samples(seen.reshape(channels, -1), *self.expected.samples, self._sampled, self._doubted, samples, trust)
         return self.lights.update(samples, trust, step_s).T
 
     # --- registration
@@ -142,10 +142,10 @@ class AdaptiveBackground:
         pixels, mean, excess = (each.reshape(-1, channels) for each in (picture, *self.expected.displaced[:2]))
         now = np.array([self.light.gain, self.light.offset, self.noise.read, self.noise.slope])
         field = self._cell_weights @ self.light.field.reshape(-1, channels)
-        take_residuals(pixels, mean, excess, field, at, self._doubted, now, out, trust)
+        gather_residuals(pixels, mean, excess, field, at, self._doubted, now, out, trust)
         return Edges(out[0], out[1], trust)
 
-    def _follow_shift(self, picture: Image, edges: Edges, at_once: bool) -> bool:
+    def _update_shift(self, picture: Image, edges: Edges, at_once: bool) -> bool:
         """Move the background by a displacement that lasts, one Gauss-Newton step; True when it has moved."""
         step_s, self._since_shift_s = self._since_shift_s, 0.0
         found = self.shift.measure(edges, self.light.gain, step_s, at_once)
@@ -158,10 +158,10 @@ class AdaptiveBackground:
         if self._aligner is None:
             return False
         total, image = self.shift.total, picture if picture.shape[2] == 3 else picture[..., 0]
-        found = self._aligner.shift(image, total)
+        found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
         if found is None:
             return False
-        since = Displacement(*found).plus(total, -1.0)
+        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).plus(total, -1.0)
         return since.most_px(self.expected.shape) >= LINEAR_PX and self._move(since, picture, edges)
 
     def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
@@ -177,7 +177,7 @@ class AdaptiveBackground:
 
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
-        self.shift.place(self.expected.place(self.shift.total))
+        self.shift.place(*self.expected.place(self.shift.total))
         row, column = self.shift.row, self.shift.column
         self._steep = np.stack([row * self.expected.shape[1] + column, self._block_index(row, column)])
         self._cell_weights = self.expected.cell_weights(row, column)

@@ -14,11 +14,11 @@ import numpy.typing as npt
 
 from ..frame_source import Image, Mask
 from ..sources.frame_checks import WHITE_LEVEL
-from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
+from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, compare_box, distance_of_samples, refresh_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light
 from .model import BackgroundModel
 from .noise import Noise
-from .shift import Displacement, steepness2
+from .shift import Displacement, gradients, steepness2
 
 # Thresholds: measured by python bench/rooms.py.
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
@@ -85,14 +85,14 @@ class ExpectedImage:
         distance_of_samples(samples, *looks, today, self._clipped_samples, out)
         return out
 
-    def look(self, image: Image, box: Corners, today: Today, rows: Rows) -> tuple[Floats, Mask]:
-        """Return what :func:`.kernels.look_closely` finds in a box: the grey levels (h, w), of colour images (h, w, 3);
+    def compare(self, image: Image, box: Corners, today: Today, rows: Rows) -> tuple[Floats, Mask]:
+        """Return what :func:`.kernels.compare_box` finds in a box: the grey levels (h, w), of colour images (h, w, 3);
         and (2, h, w) uint8 by how much ``image`` differs."""
         (top, left, bottom, right), (height, _, channels) = box, self.shape
         out = np.empty((bottom - top, (right - left) * channels), np.float32)
         found = np.empty((2, bottom - top, right - left), np.uint8)
         flat = Learned(*(each.reshape(height, -1) for each in self.displaced))
-        look_closely(image.reshape(height, -1), flat, today, self._clipped, (top, left), rows, out, found)
+        compare_box(image.reshape(height, -1), flat, today, self._clipped, (top, left), rows, out, found)
         return out if channels == 1 else out.reshape(bottom - top, right - left, channels), found
 
     def cell_weights(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
@@ -106,8 +106,8 @@ class ExpectedImage:
 
     # --- changes
 
-    def place(self, displacement: Displacement) -> Floats:
-        """Move the learned background to where the camera looks now; return it, (H, W, C) grey levels.
+    def place(self, displacement: Displacement) -> tuple[Floats, Floats]:
+        """Move the learned background to where the camera looks now; return its slopes right and down, levels / px.
 
         All rows have to be renewed then.
         """
@@ -118,7 +118,7 @@ class ExpectedImage:
         self.displaced = Learned(mean, excess, steepness2(mean))
         thinned = (each[::STEP_PX, ::STEP_PX].transpose(2, 0, 1) for each in self.displaced)
         self._thinned = Learned(*map(np.ascontiguousarray, thinned))
-        return mean
+        return gradients(mean)
 
     def renew(self, rows: slice, today: Today) -> None:
         """Renew the samples in some rows for the light and noise of now."""

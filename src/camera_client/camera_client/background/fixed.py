@@ -29,17 +29,17 @@ class FixedBackground:
         typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
         self.light, self.noise = Light.unchanged(model.channels), assumed_noise(typical, model.channels)
 
-    def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
+    def update(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Follow nothing."""
 
-    def note_foreground(self, dense: Mask) -> None:
+    def add_foreground(self, dense: Mask) -> None:
         """Take no notice."""
 
     def distance(self, image: Image, samples: Samples) -> Mask:
         """Return 0 (H, W) where the image keeps the limits of 6.3, else 255."""
         return self._beyond(image)
 
-    def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
+    def compare(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
         """Return a part of the background, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8: 0 where the image
         keeps the limits of 6.3, else 255, and by how many grey levels it differs."""
         top, left, bottom, right = box

@@ -179,7 +179,7 @@ def _is_clipped(pixel, kind, bounds):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def look_closely(image, learned, today, clipped, at, rows, expected, found):  # type: ignore[no-untyped-def]
+def compare_box(image, learned, today, clipped, at, rows, expected, found):  # type: ignore[no-untyped-def]
     """Write what is expected in a part of the picture, and how far the picture is from it.
 
     image (H, W C) uint8, learned (H, W C), clipped (H, W) uint8 : of the whole picture. at : top and left of the part;
@@ -282,7 +282,7 @@ def median_of(values, used, unit):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def take_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # type: ignore[no-untyped-def]
+def gather_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the light is fitted to, at some of the picture's samples.
 
     samples (C, m) uint8, expected, inverse_sigma (C, m) : of :func:`refresh_samples`; at (2, n) : index of each, and of
@@ -298,7 +298,7 @@ def take_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # 
 
 
 @njit(**OPTIONS)
-def take_residuals(picture, mean, excess, field, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
+def gather_residuals(picture, mean, excess, field, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the displacement is fitted to, at some places of the picture.
 
     picture (H W, C) uint8, mean, excess (H W, C) float32; field (n, C) : of the light there; at (2, n) : index of each

@@ -1,4 +1,4 @@
-"""Follows the light, frame by frame: gain and offset of each channel, and a smooth field where lamps differ.
+"""Estimates the light, frame by frame: gain and offset of each channel, and a smooth field where lamps differ.
 
 A person in view covers some of the samples, a shadow darkens some: the fit is robust, and smooth. The gain is found
 anew in every frame (mains flicker), the field follows within a third of a second, at once when the lights were
@@ -24,8 +24,8 @@ FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes sl
 FIELD_S = 0.3  # time constant of the field
 STEPS, REACH = 3, 2.5  # of the robust fit; sigmas
 OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the samples would
-SWITCHED_SHARE = 0.15  # so much more of the picture than before differs: no person, but a lamp in a part of the room
-SWITCHED_S = 0.5  # the field is found anew for so long
+SWITCHED_SHARE = 0.15  # rise in the share of outliers that means that a lamp was switched, not that a person came
+SWITCHED_S = 0.5  # for which the field is refitted after a switch
 WEAK, WEAK_SIGMAS = 0.5, 6.0  # weight at least of foreground that differs by fewer sigmas
 MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
 LIT_SPREAD, LIT_REACH = 0.05, 0.35  # relative: a cell's samples agree on their ratio; how far that departs at most
@@ -94,7 +94,7 @@ class LightEstimator:
         given = samples, self._trust_before, self._cell, light.field, share
         outliers = fit_light(*given, now, usable, rest, field)
         gain, offset = now
-        self._note_switch(outliers, self._jumps(gain.tolist(), step_s), step_s)
+        self._detect_switch(outliers, self._jumps(gain.tolist(), step_s), step_s)
         switched = self._switched_s < SWITCHED_S
         if switched and outliers > SWITCHED_SHARE:
             field = self._refit(samples[0] - offset[:, None], gain[:, None] * samples[1], usable, light.field)
@@ -122,7 +122,7 @@ class LightEstimator:
             self.flicker2 += share * (0.5 * step * step - self.flicker2)
         return change > least
 
-    def _note_switch(self, outliers: float, jumps: bool, step_s: float) -> None:
+    def _detect_switch(self, outliers: float, jumps: bool, step_s: float) -> None:
         """Notice that the gain jumps, or that suddenly much more of the picture than before departs from it."""
         sudden = jumps or outliers > self._outliers + SWITCHED_SHARE
         self.switches += sudden and self._switched_s > SWITCHED_S and not self._first
@@ -176,7 +176,7 @@ def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  #
         if most > BEYOND_NOISE**2:
             beyond += 1
     for c in range(len(seen)):
-        _follow_cells(before[:, :, c], share, (cell, now[0, c], expected[c], weight[c], rest[c]), field[:, :, c])
+        _update_cells(before[:, :, c], share, (cell, now[0, c], expected[c], weight[c], rest[c]), field[:, :, c])
     return beyond / seen.shape[1]
 
 
@@ -218,7 +218,7 @@ def robust_gain(seen, expected, precision, trust, start, weight):  # type: ignor
 
 @njit(**OPTIONS)
 def _weigh_samples(samples, trust, now, usable):  # type: ignore[no-untyped-def]
-    """Write each sample's weight for the fit: light that is wrong a little looks like foreground."""
+    """Write each sample's weight for the fit: at least WEAK if its residual is small, 0 if it is saturated."""
     seen, expected, precision = samples[0], samples[1], samples[2]
     for i in range(len(trust)):
         most = F32(0)
@@ -232,7 +232,7 @@ def _weigh_samples(samples, trust, now, usable):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _follow_cells(before, share, samples, field):  # type: ignore[no-untyped-def]
+def _update_cells(before, share, samples, field):  # type: ignore[no-untyped-def]
     """Move each cell of one channel's field (down, across) by a ``share`` towards what its own samples say; where they
     say little, towards the mean of the 3 x 3 cells around it. The whole stays 1 on average.
 

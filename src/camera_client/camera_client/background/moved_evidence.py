@@ -20,14 +20,14 @@ from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, SUPPORT_PERIOD_S, UN
 
 from ..frame_source import Image, Mask
 
-# Thresholds: chosen with the rooms of test_camera_moved_things.py.
+# Thresholds: judgement: no measurement beside the built rooms of test_camera_moved_things.py, in which they hold.
 WHOLE = 0.8  # share of a thing's blocks that must keep still: heads and hands move while a trunk does not; in the rest
 # others may see something: rays of other things that cross
 MAJORITY = 0.5  # of a thing that nobody else sees; of its outline that is visible, and has an edge in one of the two
 # pictures; more of the picture is another room
 APPLY_AFTER_S = 2 * SUPPORT_PERIOD_S  # a report counts for frames so much later, when it is there, live and in
 # lockstep, and none stands for more time
-SILENT_S = 4 * APPLY_AFTER_S  # without a report for so long, nothing is known of the others
+SILENT_S = 4 * APPLY_AFTER_S  # without a report after which the others' views are unknown
 
 Blocks = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float32]

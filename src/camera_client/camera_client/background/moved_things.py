@@ -23,15 +23,15 @@ from .expected_image import Corners, Samples
 from .kernels import BEYOND_NOISE, BLOCK_PX, STEP_PX, USUAL_S, clear_absorbed
 from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
-# Thresholds: chosen with the rooms of test_camera_moved_things.py.
-SAMPLE_S = 0.2  # blocks are looked at so often
+# Thresholds: judgement: no measurement beside the built rooms of test_camera_moved_things.py, in which they hold.
+SAMPLE_S = 0.2  # between updates of the blocks
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-STILL_S = LASTING_S  # nobody sees it, and it keeps still, so long: it is a thing; as learned so long: it is none
-OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
+STILL_S = LASTING_S  # unsupported and static this long: absorbed; like the learned background this long: reverted
+OUTSIDE_STILL_S = 4 * STILL_S  # ... beside the volume, where nobody keeps all limbs still this long
 REST_S = USUAL_S  # the picture has come to rest: outlines say enough; also the time constant of the picture that blocks
 # are compared with: slower than sway, faster than daylight
-MOST_BLOBS = 8  # looked at a time: bounds the work
+MOST_BLOBS = 8  # judged at a time: bounds the work
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
 
@@ -59,7 +59,7 @@ class MovedThings:
         self._restart()
 
     def _restart(self) -> None:
-        """Forget all times, for instance when a clock was set back; what was absorbed stays."""
+        """Reset all times, for instance when a clock was set back; absorbed blocks stay."""
         self.others.restart()
         blocks = self.others.blocks
         self._throttle = StampThrottle(SAMPLE_S)
@@ -69,10 +69,10 @@ class MovedThings:
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._absorbed = self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
-        self._note_change()
+        self._update_box()
         self._samples = 0
 
-    def _note_change(self) -> None:
+    def _update_box(self) -> None:
         x, y, width, height = cv2.boundingRect(self.replaced)
         self._box = (y, x, y + height, x + width) if width else None
 
@@ -124,7 +124,7 @@ class MovedThings:
         self.clear_absorbed(image, unexplained, self._brightness, STEP_PX)
         shown = self._blocks_of(unexplained) >= BLOCK_SHARE
         self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
-        self._follow(samples, step_s)
+        self._update_running(samples, step_s)
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
@@ -134,7 +134,7 @@ class MovedThings:
 
     # --- what keeps still
 
-    def _follow(self, samples: Samples, step_s: float) -> None:
+    def _update_running(self, samples: Samples, step_s: float) -> None:
         """Follow the samples by a running mean, and begin anew in blocks that changed by more than noise."""
         if self._running is None:
             self._running = samples.astype(np.float32)
@@ -159,13 +159,13 @@ class MovedThings:
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
                 nobody = (blob & unseen).sum() >= MAJORITY * blob.sum()
                 if keeps_still and nobody and (blob & body).sum() <= (1 - WHOLE) * blob.sum():
-                    self._take_over(image, blob & unseen)
+                    self._absorb_blob(image, blob & unseen)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
         if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
-            # a person beside the place hides a part of the outline; without her first, then bodies that may be none
+            # a person beside the place hides a part of the outline; first without persons, then with doubtful ones
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
                 if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, background):
-                    self._take_over(image, blob)
+                    self._absorb_blob(image, blob)
                     self._gone |= blob
 
     def _was_taken_away(self, blob: Blocks, whole: Image, background: Background) -> bool:
@@ -175,7 +175,7 @@ class MovedThings:
         box = top, left, top + height, left + width
         part = slice(top, top + height), slice(left, left + width)
         image, near = whole[part], self._to_pixels(beside)[part] > 0
-        expected, (distance, _) = background.look(whole, box, np.tile([0, width], (height, 1)))
+        expected, (distance, _) = background.compare(whole, box, np.tile([0, width], (height, 1)))
         foreground = cv2.threshold(distance, background.threshold, 255, cv2.THRESH_BINARY)[1]
         self.clear_absorbed(whole, foreground, self._brightness, box=box)
         own = np.where(near, foreground, np.uint8(0))
@@ -184,8 +184,8 @@ class MovedThings:
         nobody = (self.others.unseen_s[blob] >= REST_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
-    def _take_over(self, image: Image, blob: Blocks) -> None:
-        """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
+    def _absorb_blob(self, image: Image, blob: Blocks) -> None:
+        """Absorb a blob's blocks, and their static neighbours, as they look now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= REST_S) & (self.others.body_s <= 0))
         if np.count_nonzero(blocks | self._absorbed) > MAJORITY * blocks.size:
@@ -194,7 +194,7 @@ class MovedThings:
         self.mean[pixels], self.replaced[pixels] = image[pixels] / self._brightness, 255
         self._absorbed[blocks], self._learned_s[blocks] = True, 0.0
         self.absorbed += 1
-        self._note_change()
+        self._update_box()
 
     # --- giving back
 
@@ -216,7 +216,7 @@ class MovedThings:
             self._absorbed[back] = self._gone[back] = False
             self.replaced[self._to_pixels(back)] = 0
             self.reverted += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
-            self._note_change()
+            self._update_box()
         # light moves on
         follows = self._to_pixels(matched & ~back & (self._still_s >= REST_S))
         if follows.any():

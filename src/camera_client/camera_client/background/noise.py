@@ -25,9 +25,9 @@ from .model import NOISIEST, BackgroundModel
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
 MOST_VARIANCE = (WITHIN_NOISE * NOISIEST) ** 2  # a room that seems noisier must not hide a person
-LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
+LEARNED_BINS, FRAME_BINS = 12, 6  # groups into which pixels are sorted by level
 FEW_IN_BIN = 30
-TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # of a normal distribution so much lies within so many; codecs change whole blocks
+TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # share of a normal distribution within these sigmas; codecs change whole blocks
 TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
 MOST_TAIL = 2.5
 NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second

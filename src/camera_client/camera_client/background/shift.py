@@ -1,8 +1,8 @@
-"""Follows by how much the picture of a fixed camera has moved against its background: shift and roll, a few pixels.
+"""Measures by how much the picture of a fixed camera has moved against its background: shift and roll, a few pixels.
 
 A tripod that was touched, a wall that warms, a mount that hums: every edge of the room would become foreground. The
-displacement is fitted in every frame, by one robust Gauss-Newton step (:mod:`camera_client.alignment`), which is right
-within half a pixel. Larger ones begin from :class:`camera_client.alignment.PictureAlignment`.
+displacement is fitted to the steepest places of the picture, in every frame, robustly against what stands before them:
+one Gauss-Newton step, within half a pixel. Larger ones begin from :class:`camera_client.alignment`.
 """
 
 from __future__ import annotations
@@ -16,25 +16,28 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.kernel import njit
+from capture_rig.small_matrices import solve_positive
 from capture_rig.visibility import MOST_FOLLOWED_SHARE
 
-from ..alignment import FEW_PLACES, FEWEST, gradients, robust_step, steepest
-from .kernels import BIN_SIGMAS, HALF_MEDIAN, USUAL_S, median_of
+from ..alignment import strongest
+from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
 
-CELLS_ACROSS, IN_CELL = 28, 2  # places: so many in every cell of the picture
+CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
+STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 # Thresholds: measured by python bench/rooms.py.
-LEAST_STEEPNESS = 1.5  # grey levels a pixel
 PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture without edges does not move
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
-SETTLE_S = 0.2  # ... when it has lasted for so long, the first time at once
+SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
 DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_LEFT_PX = 0.8
+LEFT_S = 2 * SETTLE_S  # time constant of what is left: of what did not last
 RESTLESS = 1.5  # edges that fit worse than in the second before, by such a factor, may have moved at once
+FEW_PLACES = 40
+FEWEST = 3  # frames whose median counts
+LEAST_STEEPNESS = 1.5  # grey levels a pixel
 
 Floats = npt.NDArray[np.float32]
-STEPS_TO_NEIGHBOURS = [
-    np.array(each, np.float32) for each in ([[-1, 1, 0]], [[0, -1, 1]], [[-1], [1], [0]], [[0], [-1], [1]])
-]
 
 
 class Displacement(NamedTuple):
@@ -64,13 +67,26 @@ class Displacement(NamedTuple):
         return np.asarray(moved, np.float32).reshape(picture.shape)
 
 
+def gradients(picture: Floats) -> tuple[Floats, Floats]:
+    """Return the slopes (H, W, C) to the right and downwards, grey levels a pixel, of a slightly smoothed picture."""
+    smooth = cv2.GaussianBlur(picture, (3, 3), 0)
+    right, down = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *d, scale=1 / 8), np.float32) for d in ((1, 0), (0, 1)))
+    return right.reshape(picture.shape), down.reshape(picture.shape)
+
+
 def steepness2(picture: Floats) -> Floats:
     """Return the mean squared step (H, W, C) to the neighbours, right and left, and below and above, summed.
 
     It is what a displacement of a pixel changes a grey level by, squared; unlike a slope it sees lines a pixel wide.
     """
-    steps = (cv2.filter2D(picture, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in STEPS_TO_NEIGHBOURS)
-    return np.asarray(0.5 * sum(np.square(step) for step in steps), np.float32).reshape(picture.shape)
+    total = np.zeros_like(picture)
+    for axis in (0, 1):
+        square = np.square(np.diff(picture, axis=axis))
+        first = (slice(1, None),) if axis == 0 else (slice(None), slice(1, None))
+        last = (slice(None, -1),) if axis == 0 else (slice(None), slice(None, -1))
+        total[first] += 0.5 * square
+        total[last] += 0.5 * square
+    return total
 
 
 class Edges(NamedTuple):
@@ -97,14 +113,13 @@ class ShiftEstimator:
         self._recent: deque[tuple[float, Displacement]] = deque()
         self._time_s, self._usual = 0.0, 1.0
 
-    def place(self, mean: Floats) -> None:
-        """Choose the places of a background (H, W, C): the steepest of every cell."""
-        right, down = gradients(np.asarray(cv2.GaussianBlur(mean, (3, 3), 0), np.float32).reshape(mean.shape))
+    def place(self, right: Floats, down: Floats) -> None:
+        """Choose the places: the steepest of every cell of a background with these slopes (H, W, C)."""
         steepness = np.sqrt((right * right + down * down).sum(axis=2))
-        at = self.row, self.column = steepest(steepness, LEAST_STEEPNESS, CELLS_ACROSS, IN_CELL)
+        self.row, self.column, _ = strongest(steepness, LEAST_STEEPNESS, CELLS_ACROSS, IN_CELL)
+        self._right, self._down = right[self.row, self.column], down[self.row, self.column]
         x, y = self.column - (self._shape[1] - 1) / 2, self.row - (self._shape[0] - 1) / 2
-        turned = down[at] * x[:, None] - right[at] * y[:, None]
-        self._slopes = np.stack([right[at], down[at], turned], axis=-1).astype(np.float32)
+        self._turned = (self._down * x[:, None] - self._right * y[:, None]).astype(np.float32)
 
     @property
     def measurable(self) -> bool:
@@ -128,16 +143,16 @@ class ShiftEstimator:
 
         gain (C,) : of the light. at_once : this frame alone counts.
         """
-        slopes, lever_px = self._slopes * gain[:, None], math.hypot(*self._shape) / 4
-        prior = PRIOR_INFORMATION * np.array([1.0, 1.0, lever_px * lever_px])
-        x = robust_step(edges.rest, slopes, edges.variance, edges.trust, prior)
-        share = 1.0 if at_once else 1 - math.exp(-step_s / (2 * SETTLE_S))
-        self.left_px += share * (min(left_over_px(edges, slopes, x), MOST_LEFT_PX) - self.left_px)
+        slopes = self._right * gain, self._down * gain, self._turned * gain
+        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, math.hypot(*self._shape) / 4)
+        instant, left_px = Displacement(*found[:3]), float(found[3])
+        share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
+        self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
         self._time_s += step_s
-        self._recent.append((self._time_s, Displacement(*x.tolist())))
-        while len(self._recent) > FEWEST and self._recent[1][0] <= self._time_s - SETTLE_S:
+        self._recent.append((self._time_s, instant))
+        while len(self._recent) > FEWEST and self._recent[0][0] < self._time_s - SETTLE_S:
             self._recent.popleft()
-        lasts = len(self._recent) >= FEWEST and self._time_s - self._recent[0][0] >= SETTLE_S
+        lasts = len(self._recent) >= FEWEST and self._time_s - self._recent[0][0] >= SETTLED_SHARE * SETTLE_S
         if not (at_once or lasts):
             return Displacement()
         lasting = Displacement(*map(median, zip(*(each for _, each in self._recent), strict=True)))
@@ -155,16 +170,55 @@ class ShiftEstimator:
         return True
 
 
-def left_over_px(edges: Edges, slopes: Floats, x: npt.NDArray[np.float64]) -> float:
-    """Return the displacement that is left after ``x`` (3,), beyond what noise explains: a robust standard deviation.
+@njit(**OPTIONS)
+def robust_shift(rest, right, down, turned, variance, trust, lever_px):  # type: ignore[no-untyped-def]
+    """Fit rest = -right dx - down dy - turned roll: by how much the picture moved.
 
-    It is that of every place along its steepest channel. slopes (n, C, 3) : as the edges look now.
+    rest, right, down, turned, variance (n, C) float32: residuals, their change for a pixel to the right, downwards, and
+    a radian clockwise about the middle, the noise's variance. trust (n,) float32. lever_px : how far from the middle
+    a roll shows, half of the picture about. Gives dx, dy, roll, and the displacement that is left, a robust standard
+    deviation in pixels.
     """
-    steep2 = (slopes[..., :2] ** 2).sum(axis=2)
-    place = np.flatnonzero((edges.trust >= 1) & steep2.any(axis=1))
-    if not len(place):
-        return 0.0
-    at = place, steep2[place].argmax(axis=1)
-    apparent2 = (edges.rest[at] + slopes[at] @ x) ** 2 / steep2[at]
-    left2 = HALF_MEDIAN**2 * np.median(apparent2) - np.median(edges.variance[at] / steep2[at])
-    return math.sqrt(max(left2, 0.0))
+    n, channels = rest.shape
+    x, factor = np.zeros(3), np.zeros((3, 3))
+    distance, J = np.empty(n, np.float32), np.empty(3)
+    for step in range(STEPS + 1):
+        for i in range(n):
+            total = 0.0
+            for c in range(channels):
+                left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
+                total += left * left / variance[i, c]
+            distance[i] = np.sqrt(total / channels)
+        if step == STEPS:
+            break
+        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS), 1.0)
+        A, b = np.zeros((3, 3)), np.zeros(3)
+        A[0, 0] = A[1, 1] = PRIOR_INFORMATION
+        A[2, 2] = PRIOR_INFORMATION * lever_px * lever_px
+        for i in range(n):
+            share = distance[i] / (REACH * scale)
+            bounded = 1.0 / (1.0 + share * share)
+            for c in range(channels):
+                w = trust[i] * bounded * bounded / variance[i, c]
+                J[0], J[1], J[2] = right[i, c], down[i, c], turned[i, c]
+                for j in range(3):
+                    b[j] -= w * J[j] * rest[i, c]
+                    for k in range(j + 1):
+                        A[j, k] += w * J[j] * J[k]
+        if not solve_positive(A, b, factor, x):
+            x[:] = 0.0
+            break
+    # the displacement along each place's steepest channel, and the part of it that noise explains
+    apparent, noise, clear = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    for i in range(n):
+        most, steepest = 0.0, 0
+        for c in range(channels):
+            steep2 = right[i, c] * right[i, c] + down[i, c] * down[i, c]
+            if steep2 > most:
+                most, steepest = steep2, c
+        if trust[i] >= 1.0 and most > 0.0:
+            c = steepest
+            left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
+            apparent[i], noise[i], clear[i] = abs(left) / np.sqrt(most), np.sqrt(variance[i, c] / most), 1.0
+    left_px, noise_px = HALF_MEDIAN * median_of(apparent, clear, 0.01), median_of(noise, clear, 0.01)
+    return x[0], x[1], x[2], np.sqrt(max(left_px * left_px - noise_px * noise_px, 0.0))

@@ -139,7 +139,7 @@ class BackgroundTrainer:
             running.over.set_result(running.report(f"{reason} after {taken}"))
 
     def _conclude(self, training: _Training) -> TrainingReport:
-        """Judge, use and save what was learned."""
+        """Judge, use and save the learned background."""
         model, findings = None, tuple[Finding, ...]()
         try:
             model = training.learner.model(training.source, software=SOFTWARE, **training.about)
@@ -200,7 +200,7 @@ class _Training:
 FEWEST_FRAMES = 20
 CERTAIN_SHARE = 2 / 3  # of the time a background that is certain was seen
 HALF_OF_NORMAL = 2 / HALF_MEDIAN  # sigmas that the middle half of a normal distribution spans
-BAND_ROWS = 64  # looked at together, so that memory stays small
+BAND_ROWS = 64  # processed together, so that memory stays small
 
 
 def background_of_footage(frames: Sequence[Image], source: str) -> tuple[BackgroundModel, npt.NDArray[np.bool_]]:

@@ -24,7 +24,7 @@ from .expected_image import samples_of
 from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance
 
-# Thresholds: chosen with the rooms of test_camera_background_verdict.py.
+# Thresholds: judgement: no measurement beside the built rooms of test_camera_background_verdict.py, in which they hold.
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
 THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
 MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
@@ -90,7 +90,7 @@ def _steadiness_figures(brightness: Sequence[float]) -> dict[str, Any]:
 
 
 def _changes(model: BackgroundModel, before: BackgroundModel) -> dict[str, Any]:
-    """Return what stands in the room that was not there in the background ``before``."""
+    """Return the regions of things that were not in the background ``before``."""
     created, changed = before.provenance.created, changed_regions(model, before)
     return {
         "since": f" of {created}" if created else " before",
@@ -109,7 +109,7 @@ def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[Ima
         return []
     frame = np.rint(model.mean).astype(np.uint8)
     samples, background = samples_of(frame), AdaptiveBackground(before, BackgroundSettings())
-    background.follow(frame, samples, 0)
+    background.update(frame, samples, 0)
     foreground = (background.distance(frame, samples) > background.threshold).astype(np.uint8)
     side = max(2 * round(THIN_OF_HEIGHT * len(foreground) / 2) + 1, 3)
     changed = cv2.morphologyEx(foreground, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0

@@ -135,7 +135,7 @@ class CameraTime:
         self._delay_ns: int | None = None
 
     def stamp(self, times: FrameTimes) -> Stamp:
-        self._take_bound(times.camera_ns, times.arrival_ns - times.camera_ns)
+        self._add_bound(times.camera_ns, times.arrival_ns - times.camera_ns)
         to_middle_ns = round(self._to_middle * times.exposure_ns)
         # as if the frame was delayed the least
         mapped_ns = times.camera_ns + self._offset_ns - self._smallest_delay(times) + to_middle_ns
@@ -160,7 +160,7 @@ class CameraTime:
         """Camera time since the map began."""
         return self._last_ns - self._first_ns
 
-    def _take_bound(self, camera_ns: int, offset_ns: int) -> None:
+    def _add_bound(self, camera_ns: int, offset_ns: int) -> None:
         """Take a frame's offset, host minus camera time, into the map."""
         if self._least:
             early_ns = self._offset_ns - offset_ns  # it would have come before it was taken: set forward

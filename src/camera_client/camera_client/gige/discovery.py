@@ -76,7 +76,7 @@ def find_camera(wanted: AravisSettings) -> FoundCamera:
 
 
 def discover_at(address: str) -> FoundCamera:
-    """The camera at an IPv4 address. Raises InputError for what is none of one device, else SourceUnavailable."""
+    """The camera at an IPv4 address. Raises InputError for an address of no device, SourceUnavailable for silence."""
     try:
         ip = ipaddress.IPv4Address(address)
     except ValueError:
@@ -167,7 +167,7 @@ def _named(device: DeviceRecord) -> str:
 
 
 def _answers(sock: socket.socket, deadline_s: float) -> Iterator[DeviceRecord]:
-    """Yield who answers the discovery until then; what is no answer to one is passed over."""
+    """Yield the devices that answer the discovery until then, ignoring other packets."""
     while (left_s := deadline_s - time.monotonic()) > 0:
         sock.settimeout(left_s)
         try:

@@ -17,7 +17,7 @@ Value = bool | int | float | str
 ERROR_DOMAIN = "arv-device-error-quark"
 
 # Thresholds: judgement, no measurement.
-FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
+FLOAT_TOLERANCE = 0.02  # relative rounding of a float to the sensor's lines or steps
 ON, OFF = ("true", "1", "on", "yes"), ("false", "0", "off", "no")
 _SWITCH_WORDS = {True: ("On", "True", "Enable", "Enabled"), False: ("Off", "False", "Disable", "Disabled")}
 
@@ -104,7 +104,7 @@ class AravisFeatures:
         return "string" if kind is Kind.ENUMERATION else kind.value
 
     def _described(self, method: str, name: str) -> Any:
-        """Return what the device's description says of a number; None where it does not, and of what is none."""
+        """Return the limits of a numeric feature; None if it has none or is not numeric."""
         kind = self.kind(name)
         if kind not in (Kind.INTEGER, Kind.FLOAT):
             return None

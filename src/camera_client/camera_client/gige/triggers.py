@@ -1,4 +1,4 @@
-"""Makes several cameras expose at one instant: what starts an exposure, best first.
+"""Makes several cameras expose at one instant: the sources of triggers, best first.
 
 ptp: cameras in step by PTP run freely, but from a common beginning. line: a cable. action: each camera is told ahead of
 time, by an action command of GigE Vision 2.x, when to expose in PTP time. software: a trigger command at an instant of

@@ -18,7 +18,7 @@ from ..background.kernels import OPTIONS
 from ..background.verdict import HAND, PERSON
 from ..frame_source import Mask
 
-WORD = 8  # pixels that are looked at together
+WORD = 8  # pixels that are tested together
 EMPTY_WORD, FULL_WORD = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
 OUTSIDE = 0  # the component of all background that reaches the mask's border
 KEPT, FAR = 1, 2

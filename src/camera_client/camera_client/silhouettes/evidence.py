@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -75,6 +76,15 @@ class Scene:
         return replace(self, image=image, expected=expected, noise=self.noise.of_grey())
 
 
+class Part(NamedTuple):
+    """A scene around all foreground. distance (h, w) uint8 : of :func:`..background.kernels.compare_box`; spans : what
+    of each row and column is looked at."""
+
+    scene: Scene
+    distance: Mask
+    spans: Spans
+
+
 class EvidenceFilter:
     """Smooths squared distances along edges, and decides. Not for two threads at a time."""
 
@@ -86,14 +96,10 @@ class EvidenceFilter:
         first = reach * math.sqrt(3) * 2 ** (PASSES - 1) / math.sqrt(4**PASSES - 1)
         self._table = np.exp(-math.sqrt(2) * length / first).astype(np.float32)
 
-    def decide(self, distance: Mask, scene: Scene, spans: Spans) -> Mask:
-        """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
-
-        distance (h, w) uint8 : of :func:`..background.kernels.look_closely`. spans : what of each row and column is
-        looked at.
-        """
+    def decide(self, part: Part) -> Mask:
+        """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0."""
+        scene, distance, (rows, columns) = part
         height, width = distance.shape
-        rows, columns = spans
         least = least_evidence(scene.sigma, scene.noise)
         most = min(int(2 * SCALE * CLEAR * least), 255)
         evidence: np.ndarray = np.zeros((height, width), np.float32)
@@ -181,13 +187,13 @@ def smooth_columns(values, weight, rows):  # type: ignore[no-untyped-def]
     """
     height = len(values)
     for y in range(1, height):
-        _take_over(values[y - 1], weight[y], rows[y, 0], rows[y, 1], values[y])
+        _blend_row(values[y - 1], weight[y], rows[y, 0], rows[y, 1], values[y])
     for y in range(height - 2, -1, -1):
-        _take_over(values[y + 1], weight[y + 1], rows[y, 0], rows[y, 1], values[y])
+        _blend_row(values[y + 1], weight[y + 1], rows[y, 0], rows[y, 1], values[y])
 
 
 @njit(**OPTIONS)
-def _take_over(values, weight, first, end, out):  # type: ignore[no-untyped-def]
+def _blend_row(values, weight, first, end, out):  # type: ignore[no-untyped-def]
     other, share, own = values[first:end], weight[first:end], out[first:end]
     for x in range(len(own)):
         own[x] += share[x] * (other[x] - own[x])

@@ -121,7 +121,7 @@ class ForegroundLocator:
 
 @njit(**OPTIONS)
 def find_spans(blocks, top, left, rows, columns):  # type: ignore[no-untyped-def]
-    """Write ``Spans`` of a part of the image whose corner is ``top``, ``left`` from blocks, not 0, zeros before."""
+    """Fill ``rows`` and ``columns``, zeros before, with the spans of the nonzero blocks of the part at (top, left)."""
     for i in range(blocks.shape[0]):
         for j in range(blocks.shape[1]):
             if blocks[i, j] == 0:
@@ -247,12 +247,12 @@ class BoxUndistorter:
     def undistort(self, mask: Mask, box: Box) -> Mask:
         """Map ``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
         canvas = np.zeros(self._place.shape, np.uint8)
-        look_up(mask, *box, self._place, self._low, self._high, canvas)
+        fill_canvas(mask, *box, self._place, self._low, self._high, canvas)
         return canvas
 
 
 @njit(**OPTIONS)
-def look_up(mask, top, left, bottom, right, place, low, high, canvas):  # type: ignore[no-untyped-def]
+def fill_canvas(mask, top, left, bottom, right, place, low, high, canvas):  # type: ignore[no-untyped-def]
     """Fill the parts of the canvas that look into what ``mask`` (H, W) holds within a box; see :class:`BoxUndistorter`.
 
     place (h, w) uint32 : index of the pixel that each pixel of the canvas shows, or _UNSEEN. low, high : of
@@ -267,7 +267,7 @@ def look_up(mask, top, left, bottom, right, place, low, high, canvas):  # type: 
             if holds and begin < 0:
                 begin = cell
             elif not holds and begin >= 0:
-                _look_up_cells(mask, low[row, begin:cell], high[row, begin:cell], place, canvas)
+                _fill_cells(mask, low[row, begin:cell], high[row, begin:cell], place, canvas)
                 begin = -1
 
 
@@ -283,7 +283,7 @@ def _holds_anything(part):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def _look_up_cells(mask, low, high, place, canvas):  # type: ignore[no-untyped-def]
+def _fill_cells(mask, low, high, place, canvas):  # type: ignore[no-untyped-def]
     """Fill the rectangle of the canvas that looks into a run of cells; low, high (n, 2) : of each."""
     v0, u0, v1, u1 = canvas.shape[0], canvas.shape[1], 0, 0
     for cell in range(len(low)):

@@ -34,18 +34,8 @@ from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
 from .components import PeopleRule, keep_people
-from .evidence import CLEAR, EvidenceFilter, Scene, least_evidence
-from .masks import (
-    Box,
-    BoxUndistorter,
-    ForegroundLocator,
-    Spans,
-    enlarged,
-    halve,
-    majority,
-    majority_count,
-    trim_outline,
-)
+from .evidence import CLEAR, EvidenceFilter, Part, Scene, least_evidence
+from .masks import Box, BoxUndistorter, ForegroundLocator, enlarged, halve, majority, majority_count, trim_outline
 from .shadows import ALIGNMENT_PX, HALVED_NOISE, AttenuationMarker, ColourShadow, FloorShadow
 
 EMPTY, FULL = "empty", "full"
@@ -53,15 +43,6 @@ EMPTY, FULL = "empty", "full"
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 FULL_ABOVE = 0.6  # share of foreground at which a mask is flagged: no person looks like that
-
-
-class Part(NamedTuple):
-    """What is in a box around all foreground; distance (h, w) uint8 : SCALE z^2 of its pixels from the background.
-    spans : of them that are looked at."""
-
-    scene: Scene
-    distance: Mask
-    spans: Spans
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +152,7 @@ class SilhouettePipeline:
         """
         return self.segment(self.subtract(image, stamp_ns))
 
-    def take_support(self, report: ForegroundSupport) -> None:
+    def add_support(self, report: ForegroundSupport) -> None:
         """Take what the other cameras see. From any thread."""
         if self.moved is not None:
             self.moved.others.add(report)
@@ -193,7 +174,7 @@ class SilhouettePipeline:
         shows_scene = self._dark_room or not is_black(grid_sample(image))
         # compensate illumination and movements of the camera, measure the noise; a covered lens says nothing of them
         if shows_scene:
-            background.follow(image, samples, stamp_ns)
+            background.update(image, samples, stamp_ns)
         # squared Mahalanobis distance of samples from the background
         distance = background.distance(image, samples)
         # without things that were moved or taken away
@@ -204,15 +185,15 @@ class SilhouettePipeline:
         # a box around what is dense, and the distance of all pixels in it
         dense = self._locator.find(distance, background.threshold)
         if shows_scene:
-            background.note_foreground(self._locator.dense)
+            background.add_foreground(self._locator.dense)
         box = dense.grown(self._margin_px, self._shape, self._alignment_px)
-        part = None if box.empty else self._look_closely(image, box)
+        part = None if box.empty else self._compare_box(image, box)
         nobody = None if moved is None else moved.others.unseen_s > 0
         return Difference(stamp_ns, shows_scene, image, samples, distance, background.noise, nobody, box, part)
 
-    def _look_closely(self, image: Image, box: Box) -> Part:
+    def _compare_box(self, image: Image, box: Box) -> Part:
         spans = self._locator.spans(box.slices, REACH_BLOCKS)
-        expected, (distance, change) = self.background.look(image, box, spans[0])
+        expected, (distance, change) = self.background.compare(image, box, spans[0])
         if self.moved is not None:
             self.moved.clear_absorbed(image, distance, self.background.light.brightness, box=box)
         scene = Scene(image[box.slices], expected, change, self.background.noise, box.slices)
@@ -243,7 +224,7 @@ class SilhouettePipeline:
         scene = part.scene
         # likelihood ratio test with the neighbourhood, smoothed along edges; of the thesis's rules, a median filter
         if self._evidence is not None:
-            foreground = self._evidence.decide(part.distance, scene, part.spans)
+            foreground = self._evidence.decide(part)
         else:
             foreground = majority(cv2.threshold(part.distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1])
         # shadow suppression

@@ -3,7 +3,6 @@
 A single camera decides what is most likely shadow (:class:`FloorShadow`, :class:`ColourShadow`), and writes into the
 silhouette how dark everything is that might be floor in shadow (:class:`AttenuationMarker`); the hull server resolves
 it with all cameras.
-The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its clips.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ from .evidence import COLOUR_SHARE, Scene
 from .masks import Box, enlarged, halve, majority
 from .texture import blocks_that_fit, lose_texture, shadow_sums, sum_by_label
 
-# Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
-# with python bench/rooms.py.
+# Thresholds: chosen by the silhouettes of shadows on rendered and real clips; python bench/rooms.py scores them today.
 FLOOR_DARKEST, COLOUR_DARKEST = 0.45, ATTENUATION_EDGES[0]  # a shadow leaves at least this share of the brightness,
 LIGHTEST = ATTENUATION_EDGES[-1]  # ... and at most this: less cannot be told from noise
 PERSISTENCE = 0.3  # in a shadow at least this share of the floor's texture is still seen; smooth clothes show none

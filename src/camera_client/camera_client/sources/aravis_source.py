@@ -327,7 +327,7 @@ class AravisStream:
         if self._has_run:  # Aravis would take the ids of a new run, which begin at 1 again, for late packets
             self._stream.stop_thread(False)
             while (buffer := self._stream.try_pop_buffer()) is not None:
-                self._give_back(buffer)
+                self._return_buffer(buffer)
             self._stream.start_thread()
         self._has_run, self._last_id = True, 0
         self._statistics.restart()
@@ -341,16 +341,16 @@ class AravisStream:
         if buffer is None:
             return None
         try:
-            return self._take(buffer)
+            return self._unpack(buffer)
         finally:
-            self._give_back(buffer)
+            self._return_buffer(buffer)
 
     def counts(self) -> dict[str, int]:
         """Return :data:`COUNTERS` of this instant."""
         counted = {name: self._stream.get_info_uint64_by_name(f"n_{name}") for name in self.INFOS}
         return {**counted, "wrong_format": self._wrong_format}
 
-    def _take(self, buffer: Any) -> tuple[Image, int, FrameTimes] | None:
+    def _unpack(self, buffer: Any) -> tuple[Image, int, FrameTimes] | None:
         # without its leader packet a frame has no id, and is the one after the last
         self._last_id = buffer.get_frame_id() or self._last_id + 1
         whole = buffer.get_status() == self._Aravis.BufferStatus.SUCCESS
@@ -371,6 +371,6 @@ class AravisStream:
         came = buffer.get_image_pixel_format(), buffer.get_image_width(), buffer.get_image_height(), padding[0]
         return came == self._agreed
 
-    def _give_back(self, buffer: Any) -> None:
+    def _return_buffer(self, buffer: Any) -> None:
         buffer.set_frame_id(0)  # or a frame without leader would keep the id of the last one in this buffer
         self._stream.push_buffer(buffer)

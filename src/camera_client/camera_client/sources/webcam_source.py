@@ -87,10 +87,10 @@ class WebcamSource(FrameSource):
         self._stopping.clear()
         self._taken.clear()
         self._numbers.restart()
-        self._thread = threading.Thread(target=self._take, args=(self._capture,), name="webcam", daemon=True)
+        self._thread = threading.Thread(target=self._read_pictures, args=(self._capture,), name="webcam", daemon=True)
         self._thread.start()
 
-    def _take(self, capture: Any) -> None:
+    def _read_pictures(self, capture: Any) -> None:
         """Take pictures until stopped or unplugged, on a thread of its own; give a device back that was closed."""
         while not self._stopping.is_set():
             came, image = capture.read()
