@@ -85,7 +85,7 @@ ROWS = (
     Row("without things moved", {CAMERAS + "background_model.moved_things": False}),
     Row("without shadow tests", {CAMERAS + "silhouette.shadow": "keep"}),
     Row("without trimming the outline", {CAMERAS + "silhouette.outline_contrast": 0.0}),
-    Row("without codec errors", replaced=patch("camera_client.silhouettes.pipeline.codec_error_sigma", nothing)),
+    Row("without codec errors", replaced=patch("camera_client.silhouettes.evidence.codec_error_sigma", nothing)),
     Row("without the others' support", replaced=patch.object(MocapPipeline, "report_support", nothing)),
     Row("without occluders", replaced=patch.object(OccluderMap, "applied", as_it_is)),
     Row("without shadows in the hull", replaced=patch.object(ShadowResolver, "without_shadows", as_it_is)),
