@@ -113,11 +113,9 @@ CHANGES: dict[str, Change] = {
     "a limb not found is never doubted": Change(names={MONITOR + "limb_filter.UNFOUND_LOG_PRIOR": -1e3}),
     "a body that explains little is not doubted": Change(names=MISFIT),
     "doubt does not widen covariances": Change(names={TRACK_MONITOR + "_spread": nothing}),
-    "unseen hands and feet are measured": Change(names={TRACK_MONITOR + "_unseen_points": nothing}),
     # the filter
     "identity model": Change({"ekf.motion_model": "identity"}),
     "no joint limits in the filter": Change({"ekf.limit_sd_rad": 0.0}),
-    "no process noise of manoeuvres": Change(names={FILTER + "limbs_beyond_noise": lambda d: np.zeros(24, bool)}),
     "nothing known of a limb is released": Change(
         names={FILTER + "BodyTrack._release_limbs": lambda self, prior, anew: prior}
     ),

@@ -164,7 +164,7 @@ def warm_up() -> None:
     points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
     covariance = np.tile(np.eye(3) * 1e-4, (15, 1, 1))
     ekf = ArticulatedEkf(body)
-    moves_m = (0.0, 0.0, 0.1, 1.0, 1.0)  # rest, a manoeuvre, a foot out of reach
+    moves_m = (0.0, 0.0, 0.1, 1.0, 1.0)  # rest, a fast limb, a foot out of reach
     for number, move_m in enumerate(moves_m):
         points[-1, 0] += move_m
         prediction = ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool)).prediction

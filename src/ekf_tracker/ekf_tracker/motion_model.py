@@ -30,16 +30,10 @@ from stick_figure.kernels import HINGE_SLOT
 
 POSE, VELOCITY = slice(0, 24), slice(24, 48)
 DIMENSION = 48
-# Thresholds: EXPECTED from the chi-square distribution; MANOEUVRE from accelerations of punches and kicks.
+# Thresholds: from the chi-square distribution.
 EXPECTED = 14.2
 """Squared distance of an innovation that a process noise explains: chi-square of 3 degrees, 99.7 %, for each limb has
 up to six points and each set is a new chance of a false alarm."""
-MANOEUVRE = 64.0
-"""Times the variance of the quiet process noise: eight times its accelerations, 480 to 640 rad/s^2 of the joints.
-Elbows of punches and knees of kicks reach 20 to 30 rad/s within 0.1 s."""
-TRUNK, HEAD, ARMS, LEGS = 0, 1, (2, 3), (4, 5)
-_LIMB_OF_POINT = np.array([TRUNK, HEAD, *(TRUNK,) * 5, *ARMS, *LEGS, *ARMS, *LEGS])
-_LIMB_OF_SLOT = np.array([*(TRUNK,) * 6, HEAD, HEAD, *ARMS * 4, *LEGS * 4])
 
 
 def per_slot(torso_position: float, torso_rotation: float, ball_joints: float, hinges: float) -> np.ndarray:
@@ -177,22 +171,3 @@ def _frozen(**diagonals: np.ndarray) -> Transition:
     for diagonal in diagonals.values():
         diagonal.flags.writeable = False
     return Transition(**diagonals)
-
-
-def limbs_beyond_noise(distances: np.ndarray) -> np.ndarray:
-    """Return the slots (24,) bool of the limbs that accelerate, by the points' squared distances (15,)."""
-    return np.isin(_LIMB_OF_SLOT, _LIMB_OF_POINT[distances > EXPECTED])
-
-
-def raised_covariance(P: np.ndarray, transition: Transition, slots: np.ndarray) -> np.ndarray:
-    """Return P (48, 48) as if the process noise of the last transition had been that of a manoeuvre in the slots (24,)
-    bool."""
-    pose, P = np.flatnonzero(slots), P.copy()
-    for rows, columns, q in (
-        (pose, pose, transition.q_pose),
-        (pose, 24 + pose, transition.q_cross),
-        (24 + pose, pose, transition.q_cross),
-        (24 + pose, 24 + pose, transition.q_velocity),
-    ):
-        P[rows, columns] += (MANOEUVRE - 1.0) * q[pose]
-    return P

@@ -16,17 +16,7 @@ from stick_figure.skeleton import TORSO_POINTS
 from .bias import MeasurementBias, TrunkBendFilter
 from .kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate, report
 from .measurement import Measurement, Sizes, linearised, squared_distances
-from .motion_model import (
-    DIMENSION,
-    EXPECTED,
-    NO_TRANSITION,
-    POSE,
-    VELOCITY,
-    MotionModel,
-    limbs_beyond_noise,
-    per_slot,
-    raised_covariance,
-)
+from .motion_model import DIMENSION, EXPECTED, NO_TRANSITION, POSE, VELOCITY, MotionModel, per_slot
 from .settings import EkfSettings, motion_model
 
 # Thresholds: NEEDED_TORSO_POINTS from geometry: three may lie on a line; else judgement.
@@ -100,26 +90,20 @@ class BodyTrack:
         """Correct the estimate with the points of the predicted stamp (thesis Table 5.7), of which some are doubtful,
         and some were found in another place.
 
-        A limb whose points the quiet process noise does not explain is taken to accelerate. The state of a limb that
-        was found elsewhere, or is farther off than it can have moved since the set before, is released. None when that
-        is the torso: the track has to be restarted.
+        The state of a limb that was found elsewhere, or has moved by more since the set before than the process noise
+        explains, is released. None when that is the torso: the track has to be restarted.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
         sizes, prior = Sizes.of(self.body), self._estimate
         distances = squared_distances(prior, sizes, noise)
-        accelerating = limbs_beyond_noise(distances)
-        if accelerating.any():
-            raised = raised_covariance(prior.covariance, self._last_transition, accelerating)
-            prior = prior._replace(covariance=raised)
-            distances = squared_distances(prior, sizes, noise)
         anew = moved | z.visible & self._seen & (distances > EXPECTED)
         if 2 * np.count_nonzero(anew[TORSO_POINTS]) >= len(TORSO_POINTS) and enough_to_start(z):
             return None
         start = prior.arrays
         if anew.any():
             prior = self._release_limbs(prior, anew)
-        if anew.any() or accelerating.any():  # angles turned far, a curved path: linearise at its end first
+            # angles turned far, a curved path: linearise at its end first
             start = pose_of_points(self.body, noise, prior.pose).arrays
         self._estimate = self._prior = prior
         if z.visible.any():

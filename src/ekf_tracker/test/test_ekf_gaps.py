@@ -92,7 +92,7 @@ def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, pers
 
 @pytest.mark.parametrize(
     ("off_m", "told", "released"),
-    [(0.25, True, True), (0.25, False, False), (0.4, False, True)],
+    [(0.25, True, True), (0.03, False, False), (0.25, False, True)],
     ids=["told", "not told", "out of reach"],
 )
 def test_an_arm_that_was_found_elsewhere_is_there_at_once_and_has_no_speed(body, off_m, told, released):

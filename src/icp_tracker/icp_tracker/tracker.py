@@ -210,8 +210,6 @@ class IcpTracker:
         if found.spread is not None:
             covariance = covariance + found.spread
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
-        if found.unseen is not None:
-            visible = visible & ~found.unseen
         of_parts = TRACKING if GOOD in quality.parts else DOUBTFUL
         state = of_parts if quality.state == GOOD else quality.state
         return Fit(

@@ -27,7 +27,6 @@ UNFOUND_LOG_PRIOR = 2.5  # of a place that it did not find, as part of the limb 
 SET_NATS = 4.0  # one set in 50 is torn, so none counts more than ln 50 for or against a place
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.50  # probability of another place, or of none
-UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
 ELSEWHERE_M = 0.25  # least distance of elbow or hand at another place: the track may then be 0.2 m wrong
 UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
 
@@ -85,11 +84,6 @@ class LimbBelief:
         explains = self.places.samples + self.places.margins + PLACE_LOG_PRIOR
         odds = np.where(explains > CHANCE_SAMPLES, self.log_odds, -np.inf)
         return int(odds.argmax()) if len(odds) and odds.max() > 0.0 else None
-
-    @property
-    def is_unseen(self) -> bool:
-        """Whether nothing in the last sets shows where the limb is."""
-        return bool(self.probabilities[-1] > UNSEEN)
 
     @property
     def spread(self) -> np.ndarray:

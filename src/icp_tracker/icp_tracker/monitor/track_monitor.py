@@ -50,8 +50,7 @@ class TrackAssessment:
     """Quality of a fitted pose; a better one to change over to, if any, with its changes in words and as parts (5,) of
     the body.
 
-    spread (15, 3, 3) m^2 : second moment of the points of doubtful parts about where they are fitted. unseen (15,)
-    bool : points that nothing in the last sets shows.
+    spread (15, 3, 3) m^2 : second moment of the points of doubtful parts about where they are fitted.
     """
 
     quality: TrackQuality
@@ -59,7 +58,6 @@ class TrackAssessment:
     change: str = ""
     moved: tuple[bool, ...] = NOTHING_MOVED
     spread: np.ndarray | None = None
-    unseen: np.ndarray | None = None
 
 
 class TrackMonitor:
@@ -112,7 +110,7 @@ class TrackMonitor:
         found = self._changed_body(seen, pose, evidence, quality, turns) or self._changed_limb(seen, pose, evidence)
         if found is None:
             quality = self._body.with_other(quality)
-            found = TrackAssessment(quality, spread=self._spread(seen, pose, quality), unseen=self._unseen_points())
+            found = TrackAssessment(quality, spread=self._spread(seen, pose, quality))
         return replace(found, quality=self._body.with_misfit(found.quality))
 
     def _changed_body(
@@ -199,13 +197,6 @@ class TrackMonitor:
         return LimbBelief(places, np.full(len(places.margins), -log_odds), unfound, unseen)
 
     # --- covariance of doubtful points --------------------------------------------------------------------------------
-
-    def _unseen_points(self) -> np.ndarray:
-        """Return the points (15,) that nothing in the last sets shows: hands and feet of unseen limbs."""
-        unseen = np.zeros(15, bool)
-        for points, belief in zip(LIMB_POINTS, self._beliefs, strict=True):
-            unseen[points[-1]] = belief is not None and belief.is_unseen
-        return unseen
 
     def _spread(self, seen: Observation, pose: Pose, quality: TrackQuality) -> np.ndarray | None:
         """Return the mixture's second moment (15, 3, 3) m^2 of doubtful points about where they are fitted."""
