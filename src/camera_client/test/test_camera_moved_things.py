@@ -104,12 +104,12 @@ class Room:
         """The background, which tells its picture and the foreground of any part."""
         distance = np.stack([foreground, foreground])
 
-        def look(_, box, rows):
+        def compare(_, box, rows):
             at = slice(box[0], box[2]), slice(box[1], box[3])
             return self.expected[at], distance[:, *at]
 
         light, noise = SimpleNamespace(brightness=1.0), SimpleNamespace(typical_sigma=NOISE)
-        return SimpleNamespace(light=light, noise=noise, step_px=STEP_PX, threshold=0, look=look)
+        return SimpleNamespace(light=light, noise=noise, step_px=STEP_PX, threshold=0, compare=compare)
 
     def watch(self, picture, seconds, says=None):
         """The same picture, or one a frame from a function of the time; returns the last frame's foreground."""
