@@ -32,10 +32,11 @@ from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.qos import LATCHED, SILHOUETTE_PUBLISHER
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LATENCY_TOPIC, LOSSLESS, SILHOUETTE_SUFFIX, message_class
+from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LOSSLESS, SILHOUETTE_SUFFIX, message_class
 from sagoma_tools.recording.reader import header_stamp_ns
 
 JOINT_STATES, HULL_SERVER = "/mocap/joint_states", "/hull_server"
+ANSWERS = "/ekf/prediction"  # one to each frame set, of either server
 START_HZ = 15.0  # slow enough for any machine: the person is found before the load begins
 FOUND_SETS = 10  # joint states of the held first frame, from which on the person moves
 SETTLE_S = 2.0  # at the full rate before counting begins
@@ -133,7 +134,7 @@ class Player:
 
     def __init__(self, link: RosLink, clip: Path, pids: list[int]) -> None:
         self._servers = [psutil.Process(pid) for pid in pids]
-        self._answers, self._joints = Arrivals(link, LATENCY_TOPIC), Arrivals(link, JOINT_STATES)
+        self._answers, self._joints = Arrivals(link, ANSWERS), Arrivals(link, JOINT_STATES)
         self._diagnostics = DiagnosticsTable(link.node)
         rig_file, frames = pickle.loads(clip.read_bytes())
         self._channels = []  # of each camera: its two publishers, camera_info, a silhouette a frame
