@@ -9,12 +9,9 @@ over 48 slots, the pose's tangent (24) and its velocity (24). Every slot moves b
 diagonal. About its own estimate the error of the pose is zero, so the pose moves by ``f_cross v`` and the velocity
 becomes ``f_velocity v``. Turning of the error's own axes during one step is neglected: it is of second order.
 
-A limb at rest is tracked best with little process noise; one that strikes needs a hundred times as much for a few sets.
-Its measured points decide: while the model holds, the squared Mahalanobis distance of a point's innovation is
-chi-square with 3 degrees of freedom. Where it is larger, the process noise of that limb over the last prediction is
-raised to the accelerations of muscles (adjustable process noise: Bar-Shalom, Li & Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 11.2.2). If even that does not explain a point one set later, the limb was
-elsewhere before.
+The process noise is that of quiet movement. While the model holds, the squared Mahalanobis distance of a point's
+innovation is chi-square with 3 degrees of freedom; beyond EXPECTED the limb strikes or was elsewhere before, and its
+state is released (`track.BodyTrack.update`).
 """
 
 from __future__ import annotations
