@@ -221,38 +221,64 @@ class HullSource:
     def _decide(self, seen: InitializationObservation, watched_s: float) -> InitialPose:
         """Return the best hypothesis if it holds a T-pose or was watched long enough, explains enough, and no rival
         faces elsewhere; else the reason."""
-        best, needed, watch_s = self._best(seen), self._t_pose.hold_sets, (self._motion or MotionSettings()).watch_s
-        amiss = self._hold(seen, best.pose)
-        held = len(self._held)
-        if seen.cut and self._visibility is not None:
-            told = advice_text(seen.cut, seen.stance, self._visibility)
-        elif held:
-            told = f"T-pose seen, hold it ({held} of {needed})"
-        elif self._motion is None:
-            told = amiss
-        else:
-            told = f"somebody is here: watched for {min(watched_s, watch_s):.1f} of {watch_s:.1f} s"
-        half = 2 * held >= needed or 2.0 * watched_s >= watch_s
-        if half and not self._girth_is_known and self._known is None:
+        best = self._best(seen)
+        fault = self._hold(seen, best.pose)
+        waiting = InitialPose(reason=self._progress(seen, watched_s, fault))
+        if not self._girth_is_known and (
+            2 * len(self._held) >= self._t_pose.hold_sets or 2 * watched_s >= self._watch_s
+        ):
             self._girth_is_known = True
-            if best.mean_share < LITTLE_SHARE:
+            if self._known is None and best.mean_share < LITTLE_SHARE:
                 self._try_girths(seen)
-        patience_s = max(PATIENT_S, watch_s) if HEAD in seen.cut or FEET in seen.cut else watch_s
-        if held < needed and (self._motion is None or watched_s < patience_s):
-            return InitialPose(reason=told)
+        if not (self._is_held or self._was_watched(seen, watched_s)):
+            return waiting
         if best.agreement < LEAST_AGREEMENT:
             too_little = f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
             self._girth, self._girth_is_known = 0, False
             self._watch_anew()
-            return InitialPose(reason=told if seen.cut else too_little)  # cut, the stature may be wrong, too
-        elsewhere = [other.mean_cost for other in self._followed if best.faces_elsewhere(other)]
-        seldom = 2 * best.sets < max(other.sets for other in self._followed)
-        if seldom or min(elsewhere, default=np.inf) - best.mean_cost < SURE_SHARE:
-            if watched_s > 4.0 * watch_s:
+            return waiting if seen.cut else InitialPose(reason=too_little)  # cut, the stature may be wrong, too
+        if not self._is_sure(best):
+            if watched_s > 4.0 * self._watch_s:
                 self._watch_anew()
-            return InitialPose(reason=told if seen.cut else "front and back look alike: walk a step")
+            return waiting if seen.cut else InitialPose(reason="front and back look alike: walk a step")
+        return self._accepted(seen, best)
+
+    @property
+    def _watch_s(self) -> float:
+        """Time (s) to watch a person without a T-pose."""
+        return (self._motion or MotionSettings()).watch_s
+
+    @property
+    def _is_held(self) -> bool:
+        """Whether enough sets in a row have shown a T-pose."""
+        return len(self._held) >= self._t_pose.hold_sets
+
+    def _was_watched(self, seen: InitializationObservation, watched_s: float) -> bool:
+        """Whether a pose that is none of a T-pose may be accepted by now."""
+        is_cut = HEAD in seen.cut or FEET in seen.cut
+        return self._motion is not None and watched_s >= (max(PATIENT_S, self._watch_s) if is_cut else self._watch_s)
+
+    def _is_sure(self, best: PoseHypothesis) -> bool:
+        """Whether the best hypothesis has been tracked for long enough, and is clearly better than those that face
+        elsewhere."""
+        elsewhere = [other.mean_cost for other in self._followed if best.faces_elsewhere(other)]
+        is_new = 2 * best.sets < max(other.sets for other in self._followed)
+        return not is_new and min(elsewhere, default=np.inf) - best.mean_cost >= SURE_SHARE
+
+    def _progress(self, seen: InitializationObservation, watched_s: float, fault: str) -> str:
+        """Return in words what the first pose waits for; ``fault`` : of the T-pose."""
+        if seen.cut and self._visibility is not None:
+            return advice_text(seen.cut, seen.stance, self._visibility)
+        if self._held:
+            return f"T-pose seen, hold it ({len(self._held)} of {self._t_pose.hold_sets})"
+        if self._motion is None:
+            return fault
+        return f"somebody is here: watched for {min(watched_s, self._watch_s):.1f} of {self._watch_s:.1f} s"
+
+    def _accepted(self, seen: InitializationObservation, best: PoseHypothesis) -> InitialPose:
+        """Return the first pose; the sizes are those that a held T-pose shows."""
         body, estimate = seen.body, self._estimate
-        if held >= needed and estimate is not None:
+        if self._is_held and estimate is not None:
             floor = np.array([0.0, 0.0, seen.stance.floor_world])
             estimate = with_t_pose(estimate, forward(body, best.pose) - floor, seen.voxels - floor, seen.pitch)
             body = replace(estimate.body, build=body.build)
@@ -267,7 +293,7 @@ class HullSource:
         return best if seen.cut else next(asked, best)
 
     def _hold(self, seen: InitializationObservation, pose: Pose) -> str:
-        """Count the sets in a row that show the requested pose, held still; return its fault in words."""
+        """Count the sets in a row that show the requested pose, held still; return the pose's fault in words."""
         stick, off = farthest_stick(seen.body, pose, self._asked)
         if seen.cut or off >= T_POSE_RAD:
             self._held = []
