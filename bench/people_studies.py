@@ -31,6 +31,7 @@ PROBABILITIES = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
 TIPS = [POINT_NAMES.index(name) for name in ("left_hand", "right_hand", "left_foot", "right_foot")]
 BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 30.0))  # speeds, m/s
 FAST_M_S = 5.0
+SHOWN_ERRORS = ("mean_mm", "without_offset_mm", "over_200mm", "tracked", "inside_95", "worst_point_inside_95")
 FEWEST = 10  # of a band that is shown
 JUMP_M = 0.1  # a larger third difference is a limb that was found again, and no jitter
 FIGURES = ("mean_mm", "jitter_mm", "inside_95", "worst_point_inside_95")
@@ -162,6 +163,8 @@ def figures(several: list[Errors]) -> dict[str, float]:
     """What a row says of the sets' errors."""
     mm, centred, inside = (np.concatenate([getattr(e, name) for e in several]) for name in Errors._fields[:3])
     tracked = np.isfinite(centred).any(axis=1)
+    if not tracked.any():
+        return {**dict.fromkeys(SHOWN_ERRORS, np.nan), "tracked": 0.0}
     return {
         "mean_mm": float(np.nanmean(mm)),
         "without_offset_mm": float(np.nanmean(centred)),
