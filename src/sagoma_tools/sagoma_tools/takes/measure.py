@@ -92,11 +92,14 @@ class _Scan:
         elif topic == BODY:
             self.body = message.decode(String).data
         elif topic == DIAGNOSTICS_TOPIC:
-            for status in message.decode(DiagnosticArray).status:
-                if node := CAMERA_NODE.match(status.name):
-                    self.reports[node["camera"]].append(values_of(status))
+            self._add_reports(message.decode(DiagnosticArray))
         elif person := ROW_TOPIC.match(topic):
             self.people[person["body_id"] or FIRST_BODY_ID].update(person["kind"], message)
+
+    def _add_reports(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if node := CAMERA_NODE.match(status.name):
+                self.reports[node["camera"]].append(values_of(status))
 
     # figures ----------------------------------------------------------------------------------------------------------
 
