@@ -178,16 +178,10 @@ def robust_shift(rest, slopes, variance, trust, lever_px):  # type: ignore[no-un
     from the middle a roll shows, half of the picture about. Gives dx, dy, roll, and the displacement that is left, a
     robust standard deviation in pixels.
     """
-    n, channels = rest.shape
     A, factor, b, x = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.zeros(3)
-    left, distance, robust = np.empty(rest.shape), np.empty(n, np.float32), np.empty(n)
-    left[:] = rest
+    left, distance, robust = np.empty(rest.shape), np.empty(len(rest), np.float32), np.empty(len(rest))
+    _residuals(rest, slopes, variance, x, left, distance)
     for _ in range(STEPS):
-        for i in range(n):
-            total = 0.0
-            for c in range(channels):
-                total += left[i, c] * left[i, c] / variance[i, c]
-            distance[i] = np.sqrt(total / channels)
         robust_weights(distance, trust, BIN_SIGMAS, robust)
         A[:], b[:] = 0.0, 0.0
         A[0, 0] = A[1, 1] = PRIOR_INFORMATION
@@ -195,16 +189,20 @@ def robust_shift(rest, slopes, variance, trust, lever_px):  # type: ignore[no-un
         _add_normal_equations(rest, slopes, variance, robust, A, b)
         if not solve_positive(A, b, factor, x):
             x[:] = 0.0
-        _residuals(rest, slopes, x, left)
+        _residuals(rest, slopes, variance, x, left, distance)
     return x[0], x[1], x[2], _displacement_left(left, slopes, variance, trust)
 
 
 @njit(**OPTIONS)
-def _residuals(rest, slopes, x, left):  # type: ignore[no-untyped-def]
-    """Write rest + slopes' x (n, C)."""
-    for i in range(rest.shape[0]):
-        for c in range(rest.shape[1]):
+def _residuals(rest, slopes, variance, x, left, distance):  # type: ignore[no-untyped-def]
+    """Write what is ``left`` (n, C) after a displacement x, and its ``distance`` (n,) from 0, standard deviations."""
+    n, channels = rest.shape
+    for i in range(n):
+        total = 0.0
+        for c in range(channels):
             left[i, c] = rest[i, c] + slopes[0, i, c] * x[0] + slopes[1, i, c] * x[1] + slopes[2, i, c] * x[2]
+            total += left[i, c] * left[i, c] / variance[i, c]
+        distance[i] = np.sqrt(total / channels)
 
 
 @njit(**OPTIONS)

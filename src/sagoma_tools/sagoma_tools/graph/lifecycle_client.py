@@ -105,11 +105,11 @@ class LifecycleClient:
             requests[name].transition.id = TRANSITIONS[way][1]
         up = any(STATES.index(goal) > STATES.index(state) for state, goal in ways.values())
         limit_s = (START_TIMEOUT_S if up else PATIENCE_S) if timeout_s is None else timeout_s
-        with ServiceCalls(self._node, ChangeState, requests, "/change_state") as calls:
-            for silent in calls.rounds(limit_s, self._alive):
-                for name, label in self.states(silent, ROUND_S).items():
-                    if label == ways[name][1]:  # the reply was lost
-                        calls.add(name, ChangeState.Response(success=True))
+        calls = ServiceCalls(self._node, ChangeState, requests, "/change_state")
+        for silent in calls.rounds(limit_s, self._alive):
+            for name, label in self.states(silent, ROUND_S).items():
+                if label == ways[name][1]:  # the reply was lost
+                    calls.add(name, ChangeState.Response(success=True))
         changed = {}
         for name, way in ways.items():
             reply = calls.replies[name]

@@ -155,43 +155,39 @@ def owners_of(node: Node, service: str, kind: str) -> set[str]:
 class ServiceCalls:
     """Calls of the services NAME + ``suffix`` at once, each as soon as its service is there: a silent node delays none.
 
-    replies : by name, None while there is none. The node must be spun by another thread.
+    replies : by name, None while there is none. unsent : whose request is to be sent. The node must be spun by another
+    thread.
     """
 
     def __init__(self, node: Node, srv_type: Any, requests: Mapping[str, Any], suffix: str = "") -> None:
         """``requests`` by name."""
         self.replies: dict[str, Any] = dict.fromkeys(requests)
-        self._node, self._requests, self._answered = node, requests, threading.Condition()
-        self._waiting, self._unsent = set(requests), set(requests)
+        self._node, self._requests, self.unsent = node, requests, set(requests)
         self._clients = {name: node.create_client(srv_type, name + suffix) for name in requests}
-
-    def __enter__(self) -> ServiceCalls:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for client in self._clients.values():
-            self._node.destroy_client(client)
+        self._answered = threading.Condition()
 
     def rounds(self, timeout_s: float, alive: Callable[[str], bool]) -> Iterator[set[str]]:
-        """Wait for the replies of those that are ``alive``; every second the names that have not answered.
+        """Wait for the replies of those that are ``alive``; every second, yield the names that have not answered.
 
         A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to
         send response"): the caller may send again, or add a reply that is known by other means.
         """
-        began_s = round_s = time.monotonic()
-        while self._waiting and time.monotonic() < began_s + timeout_s:
-            if time.monotonic() > round_s + ROUND_S:
-                if silent := self._waiting - self._unsent:
+        waiting, ends_s, round_s = set(self.replies), time.monotonic() + timeout_s, time.monotonic() + ROUND_S
+        while waiting and time.monotonic() < ends_s:
+            if time.monotonic() > round_s:
+                if silent := waiting - self.unsent:
                     yield silent
-                round_s = time.monotonic()
+                round_s = time.monotonic() + ROUND_S
             with self._answered:
-                self._send_ready()
+                for name in sorted(self.unsent & waiting):
+                    if self._clients[name].service_is_ready():
+                        self.unsent.discard(name)
+                        future = self._clients[name].call_async(self._requests[name])
+                        future.add_done_callback(lambda done, name=name: self.add(name, done.result()))
                 self._answered.wait(LOOK_S)
-                self._waiting = {name for name in self._waiting if self.replies[name] is None and alive(name)}
-
-    def send_again(self, names: set[str]) -> None:
-        """Send requests that may be repeated once more."""
-        self._unsent |= names
+                waiting = {name for name in waiting if self.replies[name] is None and alive(name)}
+        for client in self._clients.values():
+            self._node.destroy_client(client)
 
     def add(self, name: str, reply: Any) -> None:
         """Add a reply, unless there is one."""
@@ -199,13 +195,6 @@ class ServiceCalls:
             if self.replies[name] is None:
                 self.replies[name] = reply
             self._answered.notify()
-
-    def _send_ready(self) -> None:
-        for name in sorted(self._unsent & self._waiting):
-            if self._clients[name].service_is_ready():
-                self._unsent.discard(name)
-                future = self._clients[name].call_async(self._requests[name])
-                future.add_done_callback(lambda done, name=name: self.add(name, done.result()))
 
 
 def call_all(
@@ -222,10 +211,9 @@ def call_all(
 
     The wait for a service ends when its ``alive`` turns false. A ``repeatable`` request is sent again every second.
     """
-    with ServiceCalls(node, srv_type, requests, suffix) as calls:
-        for silent in calls.rounds(timeout_s, alive):
-            if repeatable:
-                calls.send_again(silent)
+    calls = ServiceCalls(node, srv_type, requests, suffix)
+    for silent in calls.rounds(timeout_s, alive):
+        calls.unsent |= silent if repeatable else set()
     return calls.replies
 
 
