@@ -28,8 +28,7 @@ TARGET_S = 0.05  # a queue that stands for longer, and for longer than one set's
 SETS = 8  # a decision: a burst fills a queue of four and delays as many; eight late ones are a standing queue
 WINDOW_SETS = 32  # that are remembered
 GROWTH = 0.005  # of the cameras' rate a second cubed: half of it is won back within five seconds
-DECREASE = 0.9  # of the rate that was answered
-FULL = 0.95  # largest utilisation of a stage; also the smallest ratio of limits that is worth another pattern
+FULL = 0.95  # utilisation at most, also of what was answered; a rise by less is not worth another pattern
 CLOCK_DRIFT = 1e-4  # between two machines' quartzes, at worst: the delay without a queue may grow so fast
 
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
@@ -211,7 +210,7 @@ class ThinningControl:
             return 0
         if all(each in late for each in judged):
             self._answered_hz, self._fell_ns = throughput_hz(self._sets, judged[0].closed_ns) or rate_hz, now_ns
-            self._limit_hz = DECREASE * self._answered_hz
+            self._limit_hz = FULL * self._answered_hz
             delays_ns = [each.delay_ns(now_ns) for each in judged if not each.dropped]
             return max(round(max(delays_ns, default=0) - self._base_ns), 1)
         if self._limit_hz < math.inf and now_ns - self._changed_ns >= NS_PER_S:
@@ -222,7 +221,7 @@ class ThinningControl:
         """Raise the limit along the cubic that begins at the last fall and is level at what was answered then, but not
         beyond what the busiest stage can do, nor twice the rate."""
         growth, level_hz = GROWTH * offered_hz, self._answered_hz
-        since_level_s = (now_ns - self._fell_ns) / NS_PER_S - math.cbrt((1.0 - DECREASE) * level_hz / growth)
+        since_level_s = (now_ns - self._fell_ns) / NS_PER_S - math.cbrt((1.0 - FULL) * level_hz / growth)
         limit_hz = min(level_hz + growth * since_level_s**3, FULL * rate_hz / self._utilisation(), 2 * rate_hz)
         if limit_hz >= offered_hz:
             self._limit_hz = math.inf

@@ -80,12 +80,11 @@ def steepness2(picture: Floats) -> Floats:
     It is what a displacement of a pixel changes a grey level by, squared; unlike a slope it sees lines a pixel wide.
     """
     total = np.zeros_like(picture)
-    for axis in (0, 1):
-        square = np.square(np.diff(picture, axis=axis))
-        first = (slice(1, None),) if axis == 0 else (slice(None), slice(1, None))
-        last = (slice(None, -1),) if axis == 0 else (slice(None), slice(None, -1))
-        total[first] += 0.5 * square
-        total[last] += 0.5 * square
+    down, right = (0.5 * np.square(np.diff(picture, axis=axis)) for axis in (0, 1))
+    total[1:] += down
+    total[:-1] += down
+    total[:, 1:] += right
+    total[:, :-1] += right
     return total
 
 
