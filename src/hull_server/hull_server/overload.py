@@ -1,12 +1,12 @@
 """Decides which exposures all camera clients keep: as many frame sets a second as the graph answers in time.
 
 Congestion control of a queue, by its delay. The delay of a set is its time from exposure to answer. A queue stands
-when every one of the last sets came later than sets do while nothing queues, or was dropped (Nichols & Jacobson 2012: a
-burst leaves the minimum as it is). Then the rate falls to a share of what was answered (multiplicative decrease, Chiu &
-Jain 1989; to the measured throughput: Mascolo et al. 2001) and nothing is kept until the queues are empty, so that the
-delay without a queue is measured anew (Cardwell et al. 2016). From there the rate grows slowly up to what was answered
-and quickly beyond (Ha, Rhee & Xu 2008), but not beyond what the busiest stage can do (utilisation law). Torn sets alone
-lower nothing: frames that a network loses are lost at any rate.
+when every one of the last sets came later than sets do while nothing queues (Nichols & Jacobson 2012: a burst leaves
+the minimum as it is); a full queue drops sets. Then the rate falls to a share of what was answered (multiplicative
+decrease, Chiu & Jain 1989; to the measured throughput: Mascolo et al. 2001) and nothing is kept until the queues are
+empty, so that the delay without a queue is measured anew (Cardwell et al. 2016). From there the rate grows slowly up to
+what was answered and quickly beyond (Ha, Rhee & Xu 2008), but not beyond what the busiest stage can do (utilisation
+law). Torn sets alone lower nothing: frames that a network loses are lost at any rate.
 """
 
 from __future__ import annotations
@@ -26,15 +26,19 @@ from mocap_packets.thinning import EVERY_FRAME, FrameDecimation, FrameSelector, 
 # Thresholds: CLOCK_DRIFT: quartzes; the others chosen with the simulated graphs of test_hull_overload.py.
 TARGET_S = 0.05  # a queue that stands for longer, and for longer than one set's period, is an overload
 SETS = 8  # a decision: a burst fills a queue of four and delays as many; eight late ones are a standing queue
-WINDOW_SETS = 32  # that are remembered
+WINDOW_SETS = 32  # periods of kept sets: of fewer than SETS sets in it (slower, or starved, cameras) none is judged
+MOST_SETS = 512  # that are remembered: three seconds of the fastest cameras
 GROWTH = 0.005  # of the cameras' rate a second cubed: half of it is won back within five seconds
-FULL = 0.95  # utilisation at most, also of what was answered; a rise by less is not worth another pattern
+DECREASE = 0.9  # of the rate that was answered
+FULL = 0.95  # largest utilisation of a stage; also the smallest ratio of limits that is worth another pattern
 CLOCK_DRIFT = 1e-4  # between two machines' quartzes, at worst: the delay without a queue may grow so fast
+DELAYED, DROPS = "sets wait", "sets are dropped"
 
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
 LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
 LONGEST_SILENCE_NS = 2 * NS_PER_S  # without a set: no exposure of the cameras may be one that is kept
 LONGEST_WAIT_NS = 100_000_000  # for the last cameras of a set while the clients' machines are busy
+LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
 STAMPS_KEPT = 40  # of sets: the period of 60 Hz to 3e-4 where stamps jitter by a millisecond
 LEAST_STAMPS = 9  # until a period is told
 OFF_GRID = 0.24  # of a period: stamps farther from the grid (rms; random ones: 0.29) do not lie on it
@@ -73,11 +77,11 @@ class ThinningControl:
         self._selector = FrameSelector(lapse_ns=math.inf)
         self._stamps: deque[int] = deque(maxlen=STAMPS_KEPT)  # of sets since the exposures were sought anew
         self._offered_hz: float | None = None  # sets that the cameras take a second
-        self._limit_hz = math.inf  # the most sets a second
-        self._answered_hz = 0.0  # the throughput at the last overload
+        self._limit_hz, self._cause = math.inf, ""  # the most sets a second, and the sign of the last overload
+        self._answered_hz = 0.0  # the throughput then
         self._published_ns: int | None = None
         self._changed_ns = self._fell_ns = 0
-        self._sets: deque[SetRecord] = deque(maxlen=WINDOW_SETS)
+        self._sets: deque[SetRecord] = deque(maxlen=MOST_SETS)
         self._base_ns: float | None = None  # the delay without a queue, and when it was measured
         self._based_ns = 0
         self._settled_ns = 0  # sets of later stamps are processed at the present rate
@@ -94,7 +98,7 @@ class ThinningControl:
         if rule.keep == rule.of or offered_hz is None:
             return ""
         held = f"the graph holds {rule.fraction * offered_hz:.0f} Hz of {offered_hz:.0f}"
-        return f"thinned to {rule.keep} of {rule.of}: {held} (sets wait)"
+        return f"thinned to {rule.keep} of {rule.of}: {held} ({self._cause})"
 
     def deadline_ns(self, usual_ns: int) -> int:
         """Return how long a set waits for its last cameras: while sets are left out, until the next one is due."""
@@ -113,7 +117,7 @@ class ThinningControl:
     def add_closed(self, stamp_ns: int, frames: Iterable[str], age_ns: int, now_ns: int) -> None:
         """Add a frame set that has closed; ``age_ns`` since its exposure, on a clock that may be off."""
         with self._lock:
-            if self._sets and stamp_ns <= self._sets[-1].stamp_ns:
+            if self._sets and not 0 < stamp_ns - self._sets[-1].stamp_ns < LONGEST_GAP_NS:
                 self._restart(stamp_ns, now_ns)
             self._stamps.append(stamp_ns)
             self._sets.append(SetRecord(stamp_ns, now_ns, age_ns, frozenset(frames)))
@@ -200,6 +204,9 @@ class ThinningControl:
     def _update_limit(self, offered_hz: float, now_ns: int) -> int:
         """Adapt the limit to the last sets; return how long sets wait when a queue stands, otherwise 0."""
         rate_hz = self.rule.fraction * offered_hz
+        span_ns = max(NS_PER_S, round(WINDOW_SETS / rate_hz * NS_PER_S))
+        while len(self._sets) > 1 and now_ns - self._sets[0].closed_ns > span_ns:
+            self._sets.popleft()
         if self._base_ns is None:
             return 0
         late_ns = self._base_ns + max(TARGET_S, 1.0 / rate_hz) * NS_PER_S
@@ -208,20 +215,26 @@ class ThinningControl:
         judged = [each for each in recent if each.answered_ns or each in late][-SETS:]
         if len(judged) < SETS:
             return 0
-        if all(each in late for each in judged):
-            self._answered_hz, self._fell_ns = throughput_hz(self._sets, judged[0].closed_ns) or rate_hz, now_ns
-            self._limit_hz = FULL * self._answered_hz
+        drops = sum(each.dropped for each in judged) > 1
+        if drops or all(each in late for each in judged):
+            self._cause = DROPS if drops else DELAYED
+            self._decrease(rate_hz, next(each.closed_ns for each in judged if each in late), now_ns)
             delays_ns = [each.delay_ns(now_ns) for each in judged if not each.dropped]
             return max(round(max(delays_ns, default=0) - self._base_ns), 1)
         if self._limit_hz < math.inf and now_ns - self._changed_ns >= NS_PER_S:
             self._increase(rate_hz, offered_hz, now_ns)
         return 0
 
+    def _decrease(self, rate_hz: float, since_ns: int, now_ns: int) -> None:
+        """Lower the limit below what was answered since then; where too few answers came to tell, below half."""
+        self._answered_hz, self._fell_ns = throughput_hz(self._sets, since_ns) or 0.5 * rate_hz, now_ns
+        self._limit_hz = DECREASE * self._answered_hz
+
     def _increase(self, rate_hz: float, offered_hz: float, now_ns: int) -> None:
         """Raise the limit along the cubic that begins at the last fall and is level at what was answered then, but not
         beyond what the busiest stage can do, nor twice the rate."""
         growth, level_hz = GROWTH * offered_hz, self._answered_hz
-        since_level_s = (now_ns - self._fell_ns) / NS_PER_S - math.cbrt((1.0 - FULL) * level_hz / growth)
+        since_level_s = (now_ns - self._fell_ns) / NS_PER_S - math.cbrt((1.0 - DECREASE) * level_hz / growth)
         limit_hz = min(level_hz + growth * since_level_s**3, FULL * rate_hz / self._utilisation(), 2 * rate_hz)
         if limit_hz >= offered_hz:
             self._limit_hz = math.inf
