@@ -16,7 +16,7 @@ import numpy as np
 from room_clips import PERSON_PX, RoomClip
 
 from camera_client.background.model import BackgroundLearner
-from camera_client.background.verdict import HAND
+from camera_client.background.training_verdict import HAND
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import majority

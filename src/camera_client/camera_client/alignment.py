@@ -22,6 +22,7 @@ import numpy.typing as npt
 from capture_rig import lens
 from capture_rig.camera import CameraModel
 from capture_rig.rigid import rotation_matrix, rotation_vector
+from capture_rig.small_matrices import robust_weight
 from capture_rig.visibility import of_shape
 
 from .background.kernels import BEYOND_NOISE, WITHIN_NOISE
@@ -163,7 +164,7 @@ def _weights(residual: Array, points: EdgePoints) -> Array:
     """Geman and McClure: quadratic within a few standard deviations, no influence of what lies far beyond."""
     typical = max(float(np.quantile(np.abs(residual), SCALE_QUANTILE)) / SCALE_QUANTILE_SIGMAS, points.noise)
     x = residual / (WITHIN_NOISE * typical)
-    return 1 / (1 + x * x) ** 2
+    return np.asarray(robust_weight.py_func(1.0, x * x))
 
 
 # --- search: every shift and roll on a coarse grid

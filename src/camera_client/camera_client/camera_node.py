@@ -37,7 +37,7 @@ from sagoma_ros.qos import LATCHED, RESULT, graph_topic
 
 from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer
-from .background.verdict import describe_background
+from .background.training_verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
 from .frame_processor import FrameProcessor, warm_up_silhouettes

@@ -18,7 +18,7 @@ from capture_rig.stamps import NS, StampThrottle
 
 from .background.fixed import FixedBackground
 from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
-from .background.verdict import PERSON, describe_regions, find_regions
+from .background.training_verdict import PERSON, describe_regions, find_regions
 from .frame_source import LASTING_S, REPORT_PERIOD_S
 from .silhouettes.pipeline import SilhouettePipeline
 

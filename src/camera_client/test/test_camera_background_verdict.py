@@ -5,7 +5,7 @@ import pytest
 from camera_pictures import learned
 
 from camera_client.background.model import BackgroundLearner
-from camera_client.background.verdict import changed_regions, describe_background, judge_background
+from camera_client.background.training_verdict import changed_regions, describe_background, judge_background
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from camera_client.background.fixed import FixedBackground
 from camera_client.background.kernels import BLOCK_PX
-from camera_client.background.verdict import HAND
+from camera_client.background.training_verdict import HAND
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import (

@@ -14,7 +14,7 @@ from camera_pictures import learned
 
 from camera_client.alignment import PictureAlignment
 from camera_client.background.model import BackgroundModel, Provenance, load_background, read_background
-from camera_client.background.verdict import turn_findings
+from camera_client.background.training_verdict import turn_findings
 from camera_client.diagnostics import CameraState, Level, assess, frame_values
 from camera_client.frame_processor import FrameProcessor, FrameResult
 from camera_client.frame_source import Frame

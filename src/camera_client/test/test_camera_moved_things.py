@@ -14,7 +14,7 @@ from camera_client.background.expected_image import samples_of
 from camera_client.background.kernels import BLOCK_PX, STEP_PX
 from camera_client.background.moved_evidence import APPLY_AFTER_S, SupportHistory
 from camera_client.background.moved_things import OUTSIDE_STILL_S, STILL_S, MovedThings
-from camera_client.background.verdict import find_regions
+from camera_client.background.training_verdict import find_regions
 from capture_rig.camera import CameraModel
 from mocap_packets.silhouette import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 

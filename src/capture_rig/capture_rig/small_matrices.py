@@ -1,4 +1,4 @@
-"""Dense algebra of small symmetric positive definite matrices, compiled: plain arrays in, plain arrays out.
+"""Dense algebra of small symmetric positive definite matrices, and least squares' robust weight, compiled.
 
 Made for the 24 unknowns of a pose, the 10 of an image corner and the 3 coordinates of a point, where calling LAPACK
 costs more than the arithmetic. No fast-math and fixed orders of summation, so equal inputs give equal bytes.
@@ -14,6 +14,13 @@ from .kernel import kernel, njit
 
 MOST_SWEEPS, ROUNDING = 12, 1e-17
 """Of Jacobi's rotations: five suffice for four unknowns. What is left over the eigenvalues when they end."""
+
+
+@kernel
+def robust_weight(information, squared):
+    """Return the Geman-McClure weight of a residual, ``squared`` over its squared gate: a quarter at the gate."""
+    ratio = 1.0 + squared
+    return information / (ratio * ratio)
 
 
 @kernel

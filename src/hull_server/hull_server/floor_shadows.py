@@ -131,50 +131,52 @@ def mark_shadows(scene, levels, camera, box, mask):  # type: ignore[no-untyped-d
 
     levels (N, H, W) : of all cameras. box : left, top, right, bottom of the pixels to test.
     """
-    floor, low, high = scene.floor[camera], scene.low, scene.high
     for v in range(box[1], min(box[3], mask.shape[0]), STRIDE):
         for u in range(box[0], min(box[2], mask.shape[1]), STRIDE):
-            if scene.kind[levels[camera, v, u]] == ATTENUATED:
-                # where the pixel's ray meets the floor
-                w = floor[2, 0] * u + floor[2, 1] * v + floor[2, 2]
-                x = (floor[0, 0] * u + floor[0, 1] * v + floor[0, 2]) / w
-                y = (floor[1, 0] * u + floor[1, 1] * v + floor[1, 2]) / w
-                on_floor = low[0] < x < high[0] and low[1] < y < high[1]
-                if on_floor and _is_shadow_for_others(scene, levels, camera, levels[camera, v, u], x, y):
-                    square = mask[v : v + STRIDE, u : u + STRIDE]
-                    for j in range(square.shape[0]):
-                        for i in range(square.shape[1]):
-                            if scene.kind[square[j, i]] == ATTENUATED:
-                                square[j, i] = SHADOW_CANDIDATE
+            if scene.kind[levels[camera, v, u]] == ATTENUATED and _is_shadow(scene, levels, camera, u, v):
+                _replace_attenuated(scene.kind, mask[v : v + STRIDE, u : u + STRIDE])
 
 
 @kernel
-def _is_shadow_for_others(scene, levels, camera, own, x, y):  # type: ignore[no-untyped-def]
-    """Check whether another camera sees the floor place (x, y) as attenuated as level ``own``, and no more contradict
+def _replace_attenuated(kind, square):  # type: ignore[no-untyped-def]
+    """Write SHADOW_CANDIDATE to the attenuated pixels of a square."""
+    for j in range(square.shape[0]):
+        for i in range(square.shape[1]):
+            if kind[square[j, i]] == ATTENUATED:
+                square[j, i] = SHADOW_CANDIDATE
+
+
+@kernel
+def _is_shadow(scene, levels, camera, u, v):  # type: ignore[no-untyped-def]
+    """Check whether another camera sees the floor place of a camera's pixel equally attenuated, and no more contradict
     it."""
+    floor, low, high, own = scene.floor[camera], scene.low, scene.high, levels[camera, v, u]
+    w = floor[2, 0] * u + floor[2, 1] * v + floor[2, 2]
+    x = (floor[0, 0] * u + floor[0, 1] * v + floor[0, 2]) / w
+    y = (floor[1, 0] * u + floor[1, 1] * v + floor[1, 2]) / w
+    if not (low[0] < x < high[0] and low[1] < y < high[1]):
+        return False
     agree, contradict = 0, 0
     for other in range(levels.shape[0]):
-        if other != camera:
-            P = scene.P[other]
-            depth = P[2, 0] * x + P[2, 1] * y + P[2, 3]
-            u, v = P[0, 0] * x + P[0, 1] * y + P[0, 3], P[1, 0] * x + P[1, 1] * y + P[1, 3]
-            level = _level_of(levels[other], u, v, depth)
-            kind = scene.kind[level]
-            if kind == EMPTY:
-                contradict += 1
-            elif kind in (CANDIDATE, ATTENUATED):
-                more = scene.attenuation[level, 0] - scene.attenuation[own, 1] > TOLERANCE
-                less = scene.attenuation[own, 0] - scene.attenuation[level, 1] > TOLERANCE
-                contradict += more or less
-                agree += not (more or less)
+        level = BLIND if other == camera else _level_of(levels[other], scene.P[other], x, y)
+        kind = scene.kind[level]
+        if kind == EMPTY:
+            contradict += 1
+        elif kind in (CANDIDATE, ATTENUATED):
+            more = scene.attenuation[level, 0] - scene.attenuation[own, 1] > TOLERANCE
+            less = scene.attenuation[own, 0] - scene.attenuation[level, 1] > TOLERANCE
+            contradict += more or less
+            agree += not (more or less)
     return agree > 0 and agree >= contradict
 
 
 @kernel
-def _level_of(levels, x, y, depth):  # type: ignore[no-untyped-def]
-    """Return the level (H, W) of a homogeneous pixel; BLIND behind the camera and outside its canvas."""
+def _level_of(levels, P, x, y):  # type: ignore[no-untyped-def]
+    """Return the level (H, W) of a floor place; BLIND behind the camera P (3, 4) and outside its canvas."""
+    depth = P[2, 0] * x + P[2, 1] * y + P[2, 3]
     if depth <= 0.0:
         return BLIND
+    x, y = P[0, 0] * x + P[0, 1] * y + P[0, 3], P[1, 0] * x + P[1, 1] * y + P[1, 3]
     u, v = math.floor(x / depth + 0.5), math.floor(y / depth + 0.5)
     if not (0.0 <= u < levels.shape[1] and 0.0 <= v < levels.shape[0]):
         return BLIND

@@ -231,18 +231,15 @@ class ThinningControl:
         self._limit_hz = DECREASE * self._answered_hz
 
     def _increase(self, rate_hz: float, offered_hz: float, now_ns: int) -> None:
-        """Raise the limit along the cubic, but not beyond what the busiest stage can do, nor twice the rate."""
-        grown_hz = min(self._grown_hz(offered_hz, now_ns), FULL * rate_hz / self._utilisation(), 2 * rate_hz)
-        if grown_hz >= offered_hz:
+        """Raise the limit along the cubic that begins at the last fall and is level at what was answered then, but not
+        beyond what the busiest stage can do, nor twice the rate."""
+        growth, level_hz = GROWTH * offered_hz, self._answered_hz
+        since_level_s = (now_ns - self._fell_ns) / NS_PER_S - math.cbrt((1.0 - DECREASE) * level_hz / growth)
+        limit_hz = min(level_hz + growth * since_level_s**3, FULL * rate_hz / self._utilisation(), 2 * rate_hz)
+        if limit_hz >= offered_hz:
             self._limit_hz = math.inf
-        elif FULL * grown_hz > self._limit_hz:
-            self._limit_hz = grown_hz
-
-    def _grown_hz(self, offered_hz: float, now_ns: int) -> float:
-        """Return the rate on the cubic that begins at the last fall and is level at what was answered then."""
-        growth = GROWTH * offered_hz
-        level_s = math.cbrt((1.0 - DECREASE) * self._answered_hz / growth)
-        return self._answered_hz + growth * ((now_ns - self._fell_ns) / NS_PER_S - level_s) ** 3
+        elif FULL * limit_hz > self._limit_hz:
+            self._limit_hz = limit_hz
 
     def _utilisation(self) -> float:
         """Return the share of its time that the busiest stage worked on the last sets; more than 0.

@@ -15,7 +15,7 @@ to the held frames; else they are dropped and counted. A camera that lags with i
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, TypeVar
 
 T = TypeVar("T")
@@ -23,6 +23,7 @@ T = TypeVar("T")
 TIME_JUMP_NS = 250_000_000
 JUMP_TOLERANCES = 10  # a jump is at least five frame periods, so that slow cameras do not jump with every frame
 HELD_TOLERANCES = 4  # two frame periods, in which every live camera sends a frame
+NEVER_NS = -(2**62)
 
 
 @dataclass(frozen=True)
@@ -73,22 +74,6 @@ class Counters:
     restarts: int = 0
 
 
-@dataclass
-class OpenSet(Generic[T]):
-    """Frames of one instant that have arrived so far; ``opened_ns`` is the arrival of the first."""
-
-    opened_ns: int
-    frames: dict[str, T] = field(default_factory=dict)
-    stamps_ns: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def stamp_ns(self) -> int:
-        return min(self.stamps_ns.values())
-
-    def spread_with(self, stamp_ns: int) -> int:
-        return max(*self.stamps_ns.values(), stamp_ns) - min(*self.stamps_ns.values(), stamp_ns)
-
-
 class Arrival(NamedTuple, Generic[T]):
     """A frame that has come."""
 
@@ -96,6 +81,22 @@ class Arrival(NamedTuple, Generic[T]):
     stamp_ns: int
     frame: T
     arrival_ns: int
+
+
+class OpenSet(dict[str, Arrival[T]]):
+    """Frames of one instant that have arrived so far, by camera."""
+
+    @property
+    def opened_ns(self) -> int:
+        return next(iter(self.values())).arrival_ns
+
+    @property
+    def stamp_ns(self) -> int:
+        return min(each.stamp_ns for each in self.values())
+
+    def spread_with(self, stamp_ns: int) -> int:
+        stamps_ns = [stamp_ns, *(each.stamp_ns for each in self.values())]
+        return max(stamps_ns) - min(stamps_ns)
 
 
 class FrameSetCollector(Generic[T]):
@@ -124,10 +125,9 @@ class FrameSetCollector(Generic[T]):
     def _begin(self) -> None:
         """Reset; stamps may repeat."""
         self._open: list[OpenSet[T]] = []
-        self._last_ns: dict[str, int] = {}  # the last stamp of each camera that was not a jump
-        self._last_closed_ns: int | None = None
-        self._last_set_ns = -1
-        self._absent_ns: dict[str, int] = {}  # the latest instant at which each camera is known to have no frame
+        self._last_ns = dict.fromkeys(self.names, NEVER_NS)  # the last stamp of each camera that was not a jump
+        self._absent_ns = dict.fromkeys(self.names, NEVER_NS)  # the latest instant known to be without its frame
+        self._last_closed_ns = self._last_set_ns = NEVER_NS
         self._missed_count = dict.fromkeys(self.names, 0)  # sets in a row that waited for each camera in vain
 
     # --- frames in, sets out
@@ -176,12 +176,13 @@ class FrameSetCollector(Generic[T]):
     def _held_for_ns(self) -> int:
         return self.deadline_ns + HELD_TOLERANCES * self.tolerance_ns
 
-    def _jumps(self, arrived: Arrival[T]) -> bool:
+    def _jumps(self, new: Arrival[T]) -> bool:
         """Return whether a frame is far ahead of the rig's time, or far behind its camera's last (or the oldest open
         set)."""
-        tail_ns = min([self._time_ns, *(each.stamp_ns for each in self._open[:1])])
-        behind_ns = self._last_ns.get(arrived.camera, tail_ns) - arrived.stamp_ns
-        return max(behind_ns, arrived.stamp_ns - self._time_ns) > self._jump_ns
+        last_ns = self._last_ns[new.camera]
+        if last_ns == NEVER_NS:
+            last_ns = min([self._time_ns, *(each.stamp_ns for each in self._open[:1])])
+        return max(last_ns - new.stamp_ns, new.stamp_ns - self._time_ns) > self._jump_ns
 
     def _update_time(self, now_ns: int) -> list[FrameSet[T]]:
         """Update the rig's time from the held frames, add those that do not jump, and drop the others after the hold.
@@ -211,55 +212,53 @@ class FrameSetCollector(Generic[T]):
                 self._held.append(each)
             elif each.stamp_ns > self._time_ns:
                 self.counters.ahead += 1
-            elif each.camera in self._last_ns:
-                self.counters.backwards += 1
-            else:
+            elif self._last_ns[each.camera] == NEVER_NS:
                 self.counters.late += 1
+            else:
+                self.counters.backwards += 1
         return closed
 
     def _add_here(self, new: Arrival[T]) -> None:
         """Add a frame to the open set nearest in time, or to a new one; count a frame that no set can hold."""
-        last_ns, self._missed_count[new.camera] = self._last_ns.get(new.camera), 0
-        if last_ns is not None and new.stamp_ns <= last_ns:
+        last_ns, self._missed_count[new.camera] = self._last_ns[new.camera], 0
+        if new.stamp_ns <= last_ns:
             self.counters.duplicate += new.stamp_ns == last_ns
             self.counters.backwards += new.stamp_ns < last_ns
             return
-        if self._last_closed_ns is not None and new.stamp_ns <= self._last_closed_ns + self.tolerance_ns:
+        if new.stamp_ns <= self._last_closed_ns + self.tolerance_ns:
             self.counters.late += 1
             return
-        others = (each for each in self._open if new.camera not in each.frames)
+        others = (each for each in self._open if new.camera not in each)
         joined = min(others, key=lambda each: each.spread_with(new.stamp_ns), default=None)
         if joined is None or joined.spread_with(new.stamp_ns) > self.tolerance_ns:
-            joined = OpenSet(new.arrival_ns)
+            joined = OpenSet()
             self._open.append(joined)
-        joined.frames[new.camera], joined.stamps_ns[new.camera] = new.frame, new.stamp_ns
+        joined[new.camera] = new
         self._open.sort(key=lambda each: each.stamp_ns)
         self._last_ns[new.camera] = new.stamp_ns
 
     def _is_awaited(self, camera: str, candidate: OpenSet[T]) -> bool:
         """Return whether a camera may still deliver its frame of a set."""
-        if camera in candidate.frames or 0 < self.give_up <= self._missed_count[camera]:
+        if camera in candidate or 0 < self.give_up <= self._missed_count[camera]:
             return False
-        last_ns, absent_ns = self._last_ns.get(camera), self._absent_ns.get(camera)
-        passed = last_ns is not None and last_ns >= candidate.stamp_ns + self.tolerance_ns
-        return not passed and (absent_ns is None or abs(absent_ns - candidate.stamp_ns) > self.tolerance_ns)
+        passed = self._last_ns[camera] >= candidate.stamp_ns + self.tolerance_ns
+        return not passed and abs(self._absent_ns[camera] - candidate.stamp_ns) > self.tolerance_ns
 
     def _close(self, count: int) -> list[FrameSet[T]]:
         closed, self._open = self._open[:count], self._open[count:]
-        for each in closed:
-            self._last_closed_ns = each.stamp_ns
-            for name in self.names:
-                self._missed_count[name] += self._is_awaited(name, each)
         return [self._frame_set(each) for each in closed]
 
     def _frame_set(self, closed: OpenSet[T]) -> FrameSet[T]:
-        there = sorted(closed.frames)
-        missing = tuple(name for name in self.names if name not in closed.frames)
+        for name in self.names:
+            self._missed_count[name] += self._is_awaited(name, closed)
+        there = [name for name in self.names if name in closed]
+        missing = tuple(name for name in self.names if name not in closed)
         self.counters.missing += len(missing)
         self.counters.complete += not missing
         self.counters.incomplete += bool(missing)
-        stamps_ns = {name: closed.stamps_ns[name] for name in there}
-        made = FrameSet.of_stamps(stamps_ns, {name: closed.frames[name] for name in there}, missing)
+        stamps_ns = {name: closed[name].stamp_ns for name in there}
+        made = FrameSet.of_stamps(stamps_ns, {name: closed[name].frame for name in there}, missing)
+        self._last_closed_ns = closed.stamp_ns
         # stamps rise even if a camera's next frame comes so soon that two sets overlap in time
         self._last_set_ns = max(made.stamp_ns, self._last_set_ns + 1)
         return replace(made, stamp_ns=self._last_set_ns)

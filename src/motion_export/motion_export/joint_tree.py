@@ -99,9 +99,6 @@ class JointTree:
         offsets = np.median(translations, axis=0)
         offsets[0] = 0.0
         rigid = bool(np.abs(translations - offsets)[:, 1:].max() < RIGID_M)
-        return cls(
-            fill_linearly(in_frames(translations, tracked), tracked),
-            np.stack([fill_rotations(in_frames(R, tracked), tracked) for R in rotations.swapaxes(0, 1)], axis=1),
-            offsets,
-            rigid,
-        )
+        filled = fill_linearly(in_frames(translations, tracked), tracked)
+        turns = [fill_rotations(in_frames(R, tracked), tracked) for R in rotations.swapaxes(0, 1)]
+        return cls(filled, np.stack(turns, axis=1), offsets, rigid)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import njit
+from capture_rig.small_matrices import robust_weight
 
 from ..sources.frame_checks import WHITE_LEVEL
 
@@ -30,6 +31,7 @@ DOUBTED = 0.02  # weight of samples that were foreground a frame ago
 USUAL_S = 1.0  # time constant of what is usual: noise, outliers, flicker, edges' misfit, a picture at rest
 BINS = 256
 BIN_SIGMAS = 0.125  # of the histogram that a median is read from
+REACH = 2.5  # of a robust fit; sigmas
 HALF_MEDIAN = 1 / NormalDist().inv_cdf(0.75)  # normal standard deviations in a median absolute deviation
 
 
@@ -279,6 +281,18 @@ def median_of(values, used, unit):  # type: ignore[no-untyped-def]
             return unit * (k + (half - below) / max(counts[k], 1))
         below += counts[k]
     return unit * BINS
+
+
+@njit(**OPTIONS)
+def robust_weights(distance, trust, unit, out):  # type: ignore[no-untyped-def]
+    """Write the weights (n,) of a step of iteratively reweighted least squares (Geman and McClure).
+
+    distance (n,) float32 : the residuals, standard deviations of the noise; they may all be larger by the same factor.
+    trust (n,) float32 : 0 for samples that say nothing, less than 1 for doubtful ones. unit : see :func:`median_of`.
+    """
+    reach = REACH * max(HALF_MEDIAN * median_of(distance, trust, unit), 1.0)
+    for i in range(len(distance)):
+        out[i] = robust_weight(trust[i], (distance[i] / reach) ** 2)
 
 
 @njit(**OPTIONS)

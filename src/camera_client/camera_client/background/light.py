@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
-from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
+from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, OPTIONS, USUAL_S, robust_weights
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 # Thresholds: measured by python bench/rooms.py.
 FIELD_S = 0.3  # time constant of the field
-STEPS, REACH = 3, 2.5  # of the robust fit; sigmas
+STEPS = 3  # of the robust fit
 OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the samples would
 SWITCHED_SHARE = 0.15  # rise in the share of outliers that means that a lamp was switched, not that a person came
 SWITCHED_S = 0.5  # for which the field is refitted after a switch
@@ -182,25 +182,21 @@ def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  #
 
 @njit(**OPTIONS)
 def robust_gain(seen, expected, precision, trust, start, weight):  # type: ignore[no-untyped-def]
-    """Fit seen = gain expected + offset by iteratively reweighted least squares (Geman and McClure).
+    """Fit seen = gain expected + offset by iteratively reweighted least squares; return gain and offset.
 
-    seen, expected, precision, trust (n,) float32; trust : 0 for samples that say nothing, less than 1 for doubtful
-    ones. start (2,) : gain and offset to begin with. weight (n,) is written: each sample's at the end. Gives gain and
-    offset.
+    seen, expected, precision, trust (n,) float32; trust : of :func:`robust_weights`. start (2,) : gain and offset to
+    begin with. weight (n,) is written: each sample's at the end.
     """
     gain, offset = start[0], start[1]
-    distance = np.empty(len(seen), np.float32)
+    distance, robust = np.empty(len(seen), np.float32), np.empty(len(seen))
     for step in range(STEPS + 1):
         for i in range(len(seen)):
             rest = seen[i] - (gain * expected[i] + offset)
             distance[i] = abs(rest) * np.sqrt(precision[i])
-        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS * (1.0 if step else 4.0)), 1.0)
+        robust_weights(distance, trust, BIN_SIGMAS * (1.0 if step else 4.0), robust)
         see = sxe = sx = se = sw = 0.0
         for i in range(len(seen)):
-            share = distance[i] / (REACH * scale)
-            down = 1.0 / (1.0 + share * share)
-            w = trust[i] * down * down * precision[i]
-            weight[i] = w
+            weight[i] = w = robust[i] * precision[i]
             sw += w
             se += w * expected[i]
             see += w * expected[i] * expected[i]

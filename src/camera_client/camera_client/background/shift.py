@@ -21,10 +21,10 @@ from capture_rig.small_matrices import solve_positive
 from capture_rig.visibility import MOST_FOLLOWED_SHARE
 
 from ..alignment import strongest
-from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
+from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, USUAL_S, median_of, robust_weights
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
-STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
+STEPS = 4  # of the robust fit
 # Thresholds: measured by python bench/rooms.py.
 PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture without edges does not move
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
@@ -80,12 +80,11 @@ def steepness2(picture: Floats) -> Floats:
     It is what a displacement of a pixel changes a grey level by, squared; unlike a slope it sees lines a pixel wide.
     """
     total = np.zeros_like(picture)
-    for axis in (0, 1):
-        square = np.square(np.diff(picture, axis=axis))
-        first = (slice(1, None),) if axis == 0 else (slice(None), slice(1, None))
-        last = (slice(None, -1),) if axis == 0 else (slice(None), slice(None, -1))
-        total[first] += 0.5 * square
-        total[last] += 0.5 * square
+    down, right = (0.5 * np.square(np.diff(picture, axis=axis)) for axis in (0, 1))
+    total[1:] += down
+    total[:-1] += down
+    total[:, 1:] += right
+    total[:, :-1] += right
     return total
 
 
@@ -117,9 +116,9 @@ class ShiftEstimator:
         """Choose the places: the steepest of every cell of a background with these slopes (H, W, C)."""
         steepness = np.sqrt((right * right + down * down).sum(axis=2))
         self.row, self.column, _ = strongest(steepness, LEAST_STEEPNESS, CELLS_ACROSS, IN_CELL)
-        self._right, self._down = right[self.row, self.column], down[self.row, self.column]
+        right, down = right[self.row, self.column], down[self.row, self.column]
         x, y = self.column - (self._shape[1] - 1) / 2, self.row - (self._shape[0] - 1) / 2
-        self._turned = (self._down * x[:, None] - self._right * y[:, None]).astype(np.float32)
+        self._slopes = np.stack([right, down, (down * x[:, None] - right * y[:, None]).astype(np.float32)])
 
     @property
     def measurable(self) -> bool:
@@ -143,8 +142,7 @@ class ShiftEstimator:
 
         gain (C,) : of the light. at_once : this frame alone counts.
         """
-        slopes = self._right * gain, self._down * gain, self._turned * gain
-        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, math.hypot(*self._shape) / 4)
+        found = robust_shift(edges.rest, self._slopes * gain, edges.variance, edges.trust, math.hypot(*self._shape) / 4)
         instant, left_px = Displacement(*found[:3]), float(found[3])
         share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
@@ -171,54 +169,68 @@ class ShiftEstimator:
 
 
 @njit(**OPTIONS)
-def robust_shift(rest, right, down, turned, variance, trust, lever_px):  # type: ignore[no-untyped-def]
-    """Fit rest = -right dx - down dy - turned roll: by how much the picture moved.
+def robust_shift(rest, slopes, variance, trust, lever_px):  # type: ignore[no-untyped-def]
+    """Fit rest = -slopes' (dx, dy, roll) by iteratively reweighted least squares: by how much the picture moved.
 
-    rest, right, down, turned, variance (n, C) float32: residuals, their change for a pixel to the right, downwards, and
-    a radian clockwise about the middle, the noise's variance. trust (n,) float32. lever_px : how far from the middle
-    a roll shows, half of the picture about. Gives dx, dy, roll, and the displacement that is left, a robust standard
-    deviation in pixels.
+    rest, variance (n, C) float32: residuals, and the noise's variance. slopes (3, n, C) float32 : how much they change
+    for a pixel to the right, downwards, and a radian clockwise about the middle. trust (n,) float32. lever_px : how far
+    from the middle a roll shows, half of the picture about. Gives dx, dy, roll, and the displacement that is left, a
+    robust standard deviation in pixels.
     """
-    n, channels = rest.shape
-    x, factor = np.zeros(3), np.zeros((3, 3))
-    distance, J = np.empty(n, np.float32), np.empty(3)
-    for step in range(STEPS + 1):
-        for i in range(n):
-            total = 0.0
-            for c in range(channels):
-                left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
-                total += left * left / variance[i, c]
-            distance[i] = np.sqrt(total / channels)
-        if step == STEPS:
-            break
-        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS), 1.0)
-        A, b = np.zeros((3, 3)), np.zeros(3)
+    A, factor, b, x = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.zeros(3)
+    left, distance, robust = np.empty(rest.shape), np.empty(len(rest), np.float32), np.empty(len(rest))
+    _residuals(rest, slopes, variance, x, left, distance)
+    for _ in range(STEPS):
+        robust_weights(distance, trust, BIN_SIGMAS, robust)
+        A[:], b[:] = 0.0, 0.0
         A[0, 0] = A[1, 1] = PRIOR_INFORMATION
         A[2, 2] = PRIOR_INFORMATION * lever_px * lever_px
-        for i in range(n):
-            share = distance[i] / (REACH * scale)
-            bounded = 1.0 / (1.0 + share * share)
-            for c in range(channels):
-                w = trust[i] * bounded * bounded / variance[i, c]
-                J[0], J[1], J[2] = right[i, c], down[i, c], turned[i, c]
-                for j in range(3):
-                    b[j] -= w * J[j] * rest[i, c]
-                    for k in range(j + 1):
-                        A[j, k] += w * J[j] * J[k]
+        _add_normal_equations(rest, slopes, variance, robust, A, b)
         if not solve_positive(A, b, factor, x):
             x[:] = 0.0
-            break
-    # the displacement along each place's steepest channel, and the part of it that noise explains
+        _residuals(rest, slopes, variance, x, left, distance)
+    return x[0], x[1], x[2], _displacement_left(left, slopes, variance, trust)
+
+
+@njit(**OPTIONS)
+def _residuals(rest, slopes, variance, x, left, distance):  # type: ignore[no-untyped-def]
+    """Write what is ``left`` (n, C) after a displacement x, and its ``distance`` (n,) from 0, standard deviations."""
+    n, channels = rest.shape
+    for i in range(n):
+        total = 0.0
+        for c in range(channels):
+            left[i, c] = rest[i, c] + slopes[0, i, c] * x[0] + slopes[1, i, c] * x[1] + slopes[2, i, c] * x[2]
+            total += left[i, c] * left[i, c] / variance[i, c]
+        distance[i] = np.sqrt(total / channels)
+
+
+@njit(**OPTIONS)
+def _add_normal_equations(rest, slopes, variance, robust, A, b):  # type: ignore[no-untyped-def]
+    """Add all residuals to the lower triangle of A x = b."""
+    for i in range(rest.shape[0]):
+        for c in range(rest.shape[1]):
+            w = robust[i] / variance[i, c]
+            for j in range(3):
+                pull = w * slopes[j, i, c]
+                b[j] -= pull * rest[i, c]
+                for k in range(j + 1):
+                    A[j, k] += pull * slopes[k, i, c]
+
+
+@njit(**OPTIONS)
+def _displacement_left(left, slopes, variance, trust):  # type: ignore[no-untyped-def]
+    """Return how far the picture still lies from the background, along the slope of each place's steepest channel,
+    beyond what noise explains: a robust standard deviation in pixels."""
+    n, channels = left.shape
     apparent, noise, clear = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
     for i in range(n):
         most, steepest = 0.0, 0
         for c in range(channels):
-            steep2 = right[i, c] * right[i, c] + down[i, c] * down[i, c]
+            steep2 = slopes[0, i, c] * slopes[0, i, c] + slopes[1, i, c] * slopes[1, i, c]
             if steep2 > most:
                 most, steepest = steep2, c
         if trust[i] >= 1.0 and most > 0.0:
-            c = steepest
-            left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
-            apparent[i], noise[i], clear[i] = abs(left) / np.sqrt(most), np.sqrt(variance[i, c] / most), 1.0
+            clear[i], apparent[i] = 1.0, abs(left[i, steepest]) / np.sqrt(most)
+            noise[i] = np.sqrt(variance[i, steepest] / most)
     left_px, noise_px = HALF_MEDIAN * median_of(apparent, clear, 0.01), median_of(noise, clear, 0.01)
-    return x[0], x[1], x[2], np.sqrt(max(left_px * left_px - noise_px * noise_px, 0.0))
+    return np.sqrt(max(left_px * left_px - noise_px * noise_px, 0.0))

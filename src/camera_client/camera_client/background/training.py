@@ -22,7 +22,7 @@ from ..frame_source import Image
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
 from .kernels import BEYOND_NOISE, HALF_MEDIAN, WITHIN_NOISE
 from .model import SOFTWARE, BackgroundLearner, BackgroundModel, Provenance
-from .verdict import describe_background, judge_background, turn_findings
+from .training_verdict import describe_background, judge_background, turn_findings
 
 KEY = "background_training"  # of the diagnostics: the last report
 PROGRESS_KEY = "background_training_progress"  # frames taken and wanted, "57/100", while a training is under way

@@ -60,14 +60,10 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str, h
         ticks_a_second = features.number("GevTimestampTickFrequency") or SECOND
         features.set("GevSCPD", round(settings.packet_delay_ns * ticks_a_second / SECOND), "aravis.packet_delay_ns")
     width, height = _integer(features, "Width"), _integer(features, "Height")
-    return CameraSetup(
-        pixel_format,
-        width,
-        height,
-        features.number("ExposureTime"),
-        None if settings.sync in TRIGGERED else features.number("AcquisitionFrameRate"),
-        halve_mosaics and can_be_halved(pixel_format, width, height),
-    )
+    exposure_us = features.number("ExposureTime")
+    rate_hz = None if settings.sync in TRIGGERED else features.number("AcquisitionFrameRate")
+    halved = halve_mosaics and can_be_halved(pixel_format, width, height)
+    return CameraSetup(pixel_format, width, height, exposure_us, rate_hz, halved)
 
 
 def _set_format(features: Features, settings: AravisSettings, channels: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 
 from ..background.kernels import OPTIONS
-from ..background.verdict import HAND, PERSON
+from ..background.training_verdict import HAND, PERSON
 from ..frame_source import Mask
 
 WORD = 8  # pixels that are tested together

@@ -28,7 +28,7 @@ from ..background.kernels import BLOCK_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..background.noise import Noise
-from ..background.verdict import HAND
+from ..background.training_verdict import HAND
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black

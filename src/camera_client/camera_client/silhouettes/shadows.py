@@ -24,7 +24,7 @@ from capture_rig.mask_levels import (
 from capture_rig.rig import Volume
 
 from ..background.kernels import F32, OPTIONS, WITHIN_NOISE
-from ..background.verdict import HAND, PERSON
+from ..background.training_verdict import HAND, PERSON
 from ..frame_source import Image, Mask
 from .evidence import COLOUR_SHARE, Scene
 from .masks import Box, enlarged, halve, majority

@@ -70,7 +70,7 @@ class ContourTracer:
         return trace_contour_rays(mask, levels, self._cameras[index], hull, self._weights, self._limits, self._scratch)
 
 
-class Camera(NamedTuple):
+class ViewGeometry(NamedTuple):
     """The calibration of one view.
 
     P (3, 4): map points, metres, to canvas pixels. pixel_to_ray (3, 3): homogeneous pixels to directions away from the
@@ -100,11 +100,11 @@ class Scratch(NamedTuple):
         return cls(np.empty((height, width), np.uint8), filled, ends, path, along)
 
 
-def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:
+def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> ViewGeometry:
     pixel_to_ray = np.linalg.inv(P[:, :3]).astype(np.float64)
     window = np.ones((2 * RADIUS_PX + 1, 2 * RADIUS_PX + 1), np.uint8)
     clear = cv2.erode(seen, window, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
-    return Camera(P, pixel_to_ray, -pixel_to_ray @ P[:, 3], np.asarray(clear, np.uint8))
+    return ViewGeometry(P, pixel_to_ray, -pixel_to_ray @ P[:, 3], np.asarray(clear, np.uint8))
 
 
 @njit(cache=True, nogil=True)

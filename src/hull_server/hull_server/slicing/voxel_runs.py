@@ -139,25 +139,13 @@ def join_in_slices(runs, rows, across_layers):  # type: ignore[no-untyped-def]
     Runs of one slice that touch in neighbouring rows, also diagonally, get labels of one tree. A slice is a layer, or
     with ``across_layers`` the rows of one number in all layers.
     """
-    starts, ends, first, filled = runs
+    starts, _, first, filled = runs
     labels, forest = np.full(starts.size, -1, np.int32), np.empty(starts.size, np.int32)
     count = 0
     for line in filled:
         above = line - rows if across_layers else line - 1
         if above >= 0 and (across_layers or line % rows > 0):
-            run, other = first[line], first[above]
-            last, last_other = first[line + 1], first[above + 1]
-            while run < last and other < last_other:
-                if starts[run] <= ends[other] and starts[other] <= ends[run]:
-                    if labels[run] < 0:
-                        labels[run] = labels[other]
-                    elif labels[run] != labels[other]:
-                        a, b = root_of(forest, labels[run]), root_of(forest, labels[other])
-                        forest[max(a, b)] = min(a, b)
-                if ends[run] < ends[other]:
-                    run += 1
-                else:
-                    other += 1
+            _join_rows(runs, line, above, labels, forest)
         for run in range(first[line], first[line + 1]):
             if labels[run] < 0:
                 labels[run] = forest[count] = count
@@ -165,6 +153,24 @@ def join_in_slices(runs, rows, across_layers):  # type: ignore[no-untyped-def]
     forest = forest[:count]
     flatten(forest)
     return labels, forest
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _join_rows(runs, line, above, labels, forest):  # type: ignore[no-untyped-def]
+    """Give the runs of a row the labels of those above that they touch; join labels that touch one run."""
+    starts, ends, first, _ = runs
+    run, other = first[line], first[above]
+    last, last_other = first[line + 1], first[above + 1]
+    while run < last and other < last_other:
+        if starts[run] <= ends[other] and starts[other] <= ends[run]:
+            if labels[run] < 0:
+                labels[run] = labels[other]
+            elif labels[run] != labels[other]:
+                join(forest, labels[run], labels[other])
+        if ends[run] < ends[other]:
+            run += 1
+        else:
+            other += 1
 
 
 @njit(cache=True, nogil=True)
@@ -180,9 +186,7 @@ def join_in_space(joined_z, joined_y):  # type: ignore[no-untyped-def]
     forest[:offset] = z_forest
     forest[offset:] = y_forest + np.int32(offset)
     for run in range(z_labels.size):
-        a, b = root_of(forest, z_labels[run]), root_of(forest, offset + y_labels[run])
-        if a != b:
-            forest[max(a, b)] = min(a, b)
+        join(forest, z_labels[run], offset + y_labels[run])
     flatten(forest)
     number, count = np.empty(offset, np.int32), 0
     for label in range(offset):  # a root is the smallest label of its tree, so always one of z
@@ -193,6 +197,13 @@ def join_in_space(joined_z, joined_y):  # type: ignore[no-untyped-def]
     for run in range(part.size):
         part[run] = number[forest[z_labels[run]]]
     return part
+
+
+@njit(cache=True, nogil=True, inline="always")
+def join(forest, a, b):  # type: ignore[no-untyped-def]
+    """Make the trees of two labels one."""
+    a, b = root_of(forest, a), root_of(forest, b)
+    forest[max(a, b)] = min(a, b)
 
 
 @njit(cache=True, nogil=True, inline="always")

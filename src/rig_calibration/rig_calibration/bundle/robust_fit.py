@@ -161,16 +161,11 @@ def adjusted(fit: RobustFit) -> RobustFit:
 def _first_state(problem: Problem, initial: InitialPoses) -> BundleState:
     T_root_camera = inverse(np.array([initial.T_camera_root[name] for name in problem.cameras]))
     T = np.array([initial.T_root_target.get(key, np.eye(4)) for key in problem.keys])
-    return BundleState(
-        np.swapaxes(T_root_camera[:, :3, :3], 1, 2),
-        T_root_camera[:, :3, 3],
-        np.array([lens_of(camera) for camera in problem.cameras.values()]),
-        T[:, :3, :3],
-        T[:, :3, 3],
-        np.ones(len(problem.shapes)),
-        np.zeros((len(problem.shapes), WARP)),
-        np.array([is_fisheye(camera.D) for camera in problem.cameras.values()]),
-    )
+    R_camera, centre = np.swapaxes(T_root_camera[:, :3, :3], 1, 2), T_root_camera[:, :3, 3]
+    lens = np.array([lens_of(camera) for camera in problem.cameras.values()])
+    fisheye = np.array([is_fisheye(camera.D) for camera in problem.cameras.values()])
+    scale, warp = np.ones(len(problem.shapes)), np.zeros((len(problem.shapes), WARP))
+    return BundleState(R_camera, centre, lens, T[:, :3, :3], T[:, :3, 3], scale, warp, fisheye)
 
 
 def _contradictions(fit: RobustFit) -> list[tuple[int, str]]:

@@ -144,15 +144,10 @@ def observe(
         n, shape = len(detection), shapes[detection.target]
         points[row, :n], bend[row, :n] = shape.points[detection.ids], shape.bend[detection.ids]
         pixels[row, :n], weight[row, :n] = detection.pixels, 1 / detection.sigma_px
-    return Observations(
-        np.array([cameras.index(s.camera) for s in detections], np.int64),
-        np.array([pose_row[s.target, s.frame_index] for s in detections], np.int64),
-        np.array([targets.index(s.target) for s in detections], np.int64),
-        points,
-        bend,
-        pixels,
-        weight,
-    )
+    camera = np.array([cameras.index(s.camera) for s in detections], np.int64)
+    pose = np.array([pose_row[s.target, s.frame_index] for s in detections], np.int64)
+    target = np.array([targets.index(s.target) for s in detections], np.int64)
+    return Observations(camera, pose, target, points, bend, pixels, weight)
 
 
 def lens_of(camera: CameraModel) -> Array:

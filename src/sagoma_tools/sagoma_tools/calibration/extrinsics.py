@@ -143,22 +143,7 @@ class RigRequest:
 
 def request_from(args: argparse.Namespace) -> RigRequest:
     """Return the arguments of the command, checked against each other. Raises InputError."""
-    footage = bool(args.floor or args.moving or args.wand)
-    if args.moving == [] and not args.live:
-        raise InputError("no footage is given", where="--moving", remedy="Name its folder, or add --live.")
-    if not (args.live or footage or args.floor_points):
-        raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
-    if args.live and footage:
-        remedy = "Leave out the footage; write --moving alone to record a carried board."
-        raise InputError("pictures come from the cameras", where="--live", remedy=remedy)
-    if args.floor and args.floor_points:
-        raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
-    if args.wand and args.wand_marks is None:
-        remedy = "Write --wand-marks 0,0.25,0.4."
-        raise InputError("the wand's markers are not given", where="--wand-marks", remedy=remedy)
-    if not (args.board or args.floor_board) and (args.floor or args.moving or args.live):
-        remedy = 'Say what was printed, e.g. --board "checkerboard 9x6 25mm".'
-        raise InputError("no board is described", where="--board", remedy=remedy)
+    _check_sources(args)
     texts = args.board, args.floor_board or args.board
     carried, lying = (None if text is None else read_board(text) for text in texts)
     marks = _numbers(args.wand_marks, None, "--wand-marks", "0,0.25,0.4") if args.wand else []
@@ -180,6 +165,26 @@ def request_from(args: argparse.Namespace) -> RigRequest:
         tape=(*apart, *high),
         text={key: value for key, value in vars(args).items() if key != "run" and value not in (None, [], False)},
     )
+
+
+def _check_sources(args: argparse.Namespace) -> None:
+    """Raise InputError where pictures, or what they show, are missing or given twice."""
+    footage = bool(args.floor or args.moving or args.wand)
+    if args.moving == [] and not args.live:
+        raise InputError("no footage is given", where="--moving", remedy="Name its folder, or add --live.")
+    if not (args.live or footage or args.floor_points):
+        raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
+    if args.live and footage:
+        remedy = "Leave out the footage; write --moving alone to record a carried board."
+        raise InputError("pictures come from the cameras", where="--live", remedy=remedy)
+    if args.floor and args.floor_points:
+        raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
+    if args.wand and args.wand_marks is None:
+        remedy = "Write --wand-marks 0,0.25,0.4."
+        raise InputError("the wand's markers are not given", where="--wand-marks", remedy=remedy)
+    if not (args.board or args.floor_board) and (args.floor or args.moving or args.live):
+        remedy = 'Say what was printed, e.g. --board "checkerboard 9x6 25mm".'
+        raise InputError("no board is described", where="--board", remedy=remedy)
 
 
 def _floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | None:

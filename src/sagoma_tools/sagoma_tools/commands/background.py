@@ -21,7 +21,7 @@ from rich.text import Text
 
 from camera_client.background.model import BackgroundModel, load_background, shape_text
 from camera_client.background.training import background_of_footage
-from camera_client.background.verdict import find_regions, judge_background, turn_findings
+from camera_client.background.training_verdict import find_regions, judge_background, turn_findings
 from camera_client.sources.footage_reader import FootageReader
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes

@@ -140,26 +140,19 @@ def collect_graph(
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
         heard = sets.copy()
         span_s = 1e-9 * (heard[-1][1]["received_timestamp"] - heard[0][1]["received_timestamp"]) if heard else 0.0
-        return GraphFacts(
-            node.context.get_domain_id(),
-            tuple(
-                NodeFacts(
-                    name.removeprefix(namespace),
-                    None if (told := states.get(name + GET_STATE)) is None else told.current_state.label,
-                    copies[name],
-                    reports.report(name),
-                )
-                for name in names
-            ),
-            tuple(
-                silhouette_facts(name, node.count_publishers(topic), mask.copy())
-                for name, topic, mask in zip(cameras, sent, masks, strict=True)
-            ),
-            tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
-            (len(heard) - 1) / span_s if span_s > 0 else 0.0,
-            node.count_publishers("/clock") > 0,
-            tuple(expected),
+        labels = {service: reply and reply.current_state.label for service, reply in states.items()}
+        nodes = tuple(
+            NodeFacts(name.removeprefix(namespace), labels.get(name + GET_STATE), copies[name], reports.report(name))
+            for name in names
         )
+        silhouettes = tuple(
+            silhouette_facts(name, node.count_publishers(topic), mask.copy())
+            for name, topic, mask in zip(cameras, sent, masks, strict=True)
+        )
+        results = tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard)
+        rate_hz, domain = (len(heard) - 1) / span_s if span_s > 0 else 0.0, node.context.get_domain_id()
+        clock = node.count_publishers("/clock") > 0
+        return GraphFacts(domain, nodes, silhouettes, results, rate_hz, clock, tuple(expected))
 
 
 def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:

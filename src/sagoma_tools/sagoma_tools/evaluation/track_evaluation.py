@@ -99,17 +99,11 @@ def evaluate_track(
 ) -> TrackEvaluation:
     """Score a session's track, and the one of the thesis's method if there is one; ``switches`` : of its person."""
     truth = session.truth
-    return TrackEvaluation(
-        session,
-        frames,
-        track,
-        dict(Counter(track.states.tolist())),
-        time_to_track_s(track, session.fps),
-        *jitter(track, session.fps, truth),
-        None if truth is None else score(track, truth),
-        None if truth is None or thesis is None or not len(thesis) else score(thesis, truth),
-        switches,
-    )
+    states, found_s = dict(Counter(track.states.tolist())), time_to_track_s(track, session.fps)
+    jitters = jitter(track, session.fps, truth)
+    scores = None if truth is None else score(track, truth)
+    of_thesis = None if truth is None or thesis is None or not len(thesis) else score(thesis, truth)
+    return TrackEvaluation(session, frames, track, states, found_s, *jitters, scores, of_thesis, switches)
 
 
 def time_to_track_s(track: Track, fps: float) -> float:

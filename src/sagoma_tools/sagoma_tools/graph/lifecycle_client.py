@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
 from . import ANSWER_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
-from .ros_link import call_all, is_camera, node_names, settled
+from .ros_link import ServiceCalls, call_all, is_camera, node_names, settled
 
 
 class LifecycleState(StrEnum):
@@ -106,18 +105,14 @@ class LifecycleClient:
             requests[name].transition.id = TRANSITIONS[way][1]
         up = any(STATES.index(goal) > STATES.index(state) for state, goal in ways.values())
         limit_s = (START_TIMEOUT_S if up else PATIENCE_S) if timeout_s is None else timeout_s
-
-        def inferred(silent: set[str]) -> dict[str, Any]:
-            """Success for nodes that are in the wanted state, though their reply was lost."""
-            labels = self.states(silent, ROUND_S)
-            return {name: ChangeState.Response(success=True) for name in silent if labels[name] == ways[name][1]}
-
-        replies = call_all(
-            self._node, ChangeState, requests, limit_s, self._alive, suffix="/change_state", inferred=inferred
-        )
+        calls = ServiceCalls(self._node, ChangeState, requests, "/change_state")
+        for silent in calls.rounds(limit_s, self._alive):
+            for name, label in self.states(silent, ROUND_S).items():
+                if label == ways[name][1]:  # the reply was lost
+                    calls.add(name, ChangeState.Response(success=True))
         changed = {}
         for name, way in ways.items():
-            reply = replies[name]
+            reply = calls.replies[name]
             if reply is not None and reply.success:
                 changed[name] = way[1]
             else:

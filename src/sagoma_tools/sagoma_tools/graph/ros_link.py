@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import rclpy
@@ -152,60 +152,69 @@ def owners_of(node: Node, service: str, kind: str) -> set[str]:
 # service calls -------------------------------------------------------------------------------------------------------
 
 
+class ServiceCalls:
+    """Calls of the services NAME + ``suffix`` at once, each as soon as its service is there: a silent node delays none.
+
+    replies : by name, None while there is none. unsent : whose request is to be sent. The node must be spun by another
+    thread.
+    """
+
+    def __init__(self, node: Node, srv_type: Any, requests: Mapping[str, Any], suffix: str = "") -> None:
+        """``requests`` by name."""
+        self.replies: dict[str, Any] = dict.fromkeys(requests)
+        self._node, self._requests, self.unsent = node, requests, set(requests)
+        self._clients = {name: node.create_client(srv_type, name + suffix) for name in requests}
+        self._answered = threading.Condition()
+
+    def rounds(self, timeout_s: float, alive: Callable[[str], bool]) -> Iterator[set[str]]:
+        """Wait for the replies of those that are ``alive``; every second, yield the names that have not answered.
+
+        A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to
+        send response"): the caller may send again, or add a reply that is known by other means.
+        """
+        waiting, ends_s, round_s = set(self.replies), time.monotonic() + timeout_s, time.monotonic() + ROUND_S
+        while waiting and time.monotonic() < ends_s:
+            if time.monotonic() > round_s:
+                if silent := waiting - self.unsent:
+                    yield silent
+                round_s = time.monotonic() + ROUND_S
+            with self._answered:
+                for name in sorted(self.unsent & waiting):
+                    if self._clients[name].service_is_ready():
+                        self.unsent.discard(name)
+                        future = self._clients[name].call_async(self._requests[name])
+                        future.add_done_callback(lambda done, name=name: self.add(name, done.result()))
+                self._answered.wait(LOOK_S)
+                waiting = {name for name in waiting if self.replies[name] is None and alive(name)}
+        for client in self._clients.values():
+            self._node.destroy_client(client)
+
+    def add(self, name: str, reply: Any) -> None:
+        """Add a reply, unless there is one."""
+        with self._answered:
+            if self.replies[name] is None:
+                self.replies[name] = reply
+            self._answered.notify()
+
+
 def call_all(
     node: Node,
     srv_type: Any,
     requests: Mapping[str, Any],
     timeout_s: float,
-    alive: Callable[[str], bool] = lambda service: True,
+    alive: Callable[[str], bool] = lambda name: True,
     *,
     suffix: str = "",
     repeatable: bool = False,
-    inferred: Callable[[set[str]], Mapping[str, Any]] = lambda services: {},
 ) -> dict[str, Any]:
-    """Call the services NAME + ``suffix`` at once; name -> reply, None where none came within ``timeout_s``.
+    """Call services as :class:`ServiceCalls` does; name -> reply, None where none came within ``timeout_s``.
 
-    Each request is sent as soon as its service is there, so one silent node delays no other. ``node`` must be spun by
-    another thread. The wait for a service ends when its ``alive`` turns false.
-
-    A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to send
-    response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is called
-    every second for the replies of silent services that are known, by other means, to have done their work.
+    The wait for a service ends when its ``alive`` turns false. A ``repeatable`` request is sent again every second.
     """
-    clients = {service: node.create_client(srv_type, service + suffix) for service in requests}
-    answered, unsent = threading.Condition(), set(requests)
-    replies: dict[str, Any] = dict.fromkeys(requests)
-
-    def add(service: str, reply: Any) -> None:
-        with answered:
-            if replies[service] is None:
-                replies[service] = reply
-            answered.notify()
-
-    def send_ready(waiting: set[str]) -> None:
-        for service in sorted(unsent & waiting):
-            if clients[service].service_is_ready():
-                unsent.discard(service)
-                future = clients[service].call_async(requests[service])
-                future.add_done_callback(lambda done, service=service: add(service, done.result()))
-
-    try:
-        waiting, began_s = set(requests), time.monotonic()
-        again_s = began_s + ROUND_S
-        while waiting and time.monotonic() < began_s + timeout_s:
-            if time.monotonic() > again_s:
-                unsent |= waiting if repeatable else set()
-                for service, reply in inferred(waiting - unsent).items() if waiting - unsent else ():
-                    add(service, reply)
-                again_s = time.monotonic() + ROUND_S
-            with answered:
-                send_ready(waiting)
-                answered.wait(LOOK_S)
-                waiting = {name for name in waiting if replies[name] is None and alive(name)}
-    finally:
-        for client in clients.values():
-            node.destroy_client(client)
-    return replies
+    calls = ServiceCalls(node, srv_type, requests, suffix)
+    for silent in calls.rounds(timeout_s, alive):
+        calls.unsent |= silent if repeatable else set()
+    return calls.replies
 
 
 # namespace of the graph -----------------------------------------------------------------------------------------------

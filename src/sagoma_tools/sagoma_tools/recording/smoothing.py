@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +51,9 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
         for message in read_messages(bag):
             if message.topic not in named:
                 writer.write(message.topic, message.log_ns, message.data)
-            if message.topic != FITTED:
-                continue
-            for person, of_person in states.items():
-                if (state := of_person.get(message.stamp_ns)) is not None:
-                    smoothed = [serialize_message(one) for one in _messages_of(state, frames[message.stamp_ns])]
-                    for prefix in prefixes[person]:
-                        for what, data in zip(SMOOTHED, smoothed, strict=True):
-                            writer.write(f"{prefix}/{what}", message.log_ns, data)
+            if message.topic == FITTED:
+                for topic, data in _smoothed_at(message.stamp_ns, frames[message.stamp_ns], states, prefixes):
+                    writer.write(topic, message.log_ns, data)
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)}, rig_in(bag))
     return {person: len(of_person) for person, of_person in states.items()}, len(frames)
@@ -103,6 +99,17 @@ def _states(runs: list[list[Set]], settings: EkfSettings | None) -> dict[int, Bo
     """Return the smoothed states of one person's runs by stamp; each run has a filter of its own, as it had live."""
     answers = [answer for run in runs for answer in smooth(run, settings)]
     return {answer.stamp_ns: answer for answer in answers if isinstance(answer, BodyState)}
+
+
+def _smoothed_at(
+    stamp_ns: int, frame_id: str, states: Mapping[int, Mapping[int, BodyState]], prefixes: Mapping[int, list[str]]
+) -> Iterator[tuple[str, bytes]]:
+    """Yield topic and message of everybody who has a state at a frame set."""
+    for person, of_person in states.items():
+        if stamp_ns in of_person:
+            smoothed = [serialize_message(one) for one in _messages_of(of_person[stamp_ns], frame_id)]
+            for prefix in prefixes[person]:
+                yield from zip((f"{prefix}/{what}" for what in SMOOTHED), smoothed, strict=True)
 
 
 def _messages_of(state: BodyState, frame_id: str) -> tuple[Any, ...]:

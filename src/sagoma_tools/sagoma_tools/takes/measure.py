@@ -42,14 +42,8 @@ def measure(bag: Path, progress: Callable[[int], None] = lambda messages: None) 
     for number, message in enumerate(read_messages(bag, _is_wanted)):
         scan.update(message)
         progress(number)
-    return Summary(
-        scan.quality(str(bag)),
-        {name: scan.camera(name) for name in sorted(scan.silhouettes)},
-        scan.persons(),
-        scan.body,
-        digests(bag),
-        own_version(),
-    )
+    cameras = {name: scan.camera(name) for name in sorted(scan.silhouettes)}
+    return Summary(scan.quality(str(bag)), cameras, scan.persons(), scan.body, digests(bag), own_version())
 
 
 def digests(bag: Path) -> dict[str, dict[str, Any]]:
@@ -92,11 +86,14 @@ class _Scan:
         elif topic == BODY:
             self.body = message.decode(String).data
         elif topic == DIAGNOSTICS_TOPIC:
-            for status in message.decode(DiagnosticArray).status:
-                if node := CAMERA_NODE.match(status.name):
-                    self.reports[node["camera"]].append(values_of(status))
+            self._add_reports(message.decode(DiagnosticArray))
         elif person := ROW_TOPIC.match(topic):
             self.people[person["body_id"] or FIRST_BODY_ID].update(person["kind"], message)
+
+    def _add_reports(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if node := CAMERA_NODE.match(status.name):
+                self.reports[node["camera"]].append(values_of(status))
 
     # figures ----------------------------------------------------------------------------------------------------------
 
@@ -113,30 +110,18 @@ class _Scan:
             remedy = "Record the graph while its cameras run."
             raise InputError("holds no frame set, silhouette or person", where=where, remedy=remedy)
         order = np.unique(stamps)
+        begins_ns, ends_ns, stamps_back = int(order[0]), int(order[-1]), int((np.diff(stamps) < 0).sum())
+        rate_hz = round(usual_rate(order), ROUNDED) if len(order) > 1 else 0.0
         unanswered = len(set(self.set_stamps) - self.answered) if self.answered else 0
-        return Quality(
-            int(order[0]),
-            int(order[-1]),
-            len(stamps),
-            round(usual_rate(order), ROUNDED) if len(order) > 1 else 0.0,
-            self.incomplete,
-            unanswered,
-            int((np.diff(stamps) < 0).sum()),
-        )
+        return Quality(begins_ns, ends_ns, len(stamps), rate_hz, self.incomplete, unanswered, stamps_back)
 
     def camera(self, name: str) -> CameraRecord:
         """What is known of one camera; counters are those of the recording's span."""
         reports = self.reports.get(name, [])
         last = reports[-1] if reports else {}
         lost, expected = _increase(reports, ("lost", "incomplete")), _increase(reports, ("expected",))
-        return CameraRecord(
-            len(self.silhouettes[name]),
-            last.get("camera_serial", ""),
-            last.get("camera_model", ""),
-            _backgrounds(reports),
-            lost,
-            expected,
-        )
+        serial, model = last.get("camera_serial", ""), last.get("camera_model", "")
+        return CameraRecord(len(self.silhouettes[name]), serial, model, _backgrounds(reports), lost, expected)
 
     def persons(self) -> dict[str, PersonRecord]:
         """Return the record of each tracked person, by id."""
@@ -150,15 +135,9 @@ def _person_record(person: PersonRows, set_stamps: np.ndarray) -> PersonRecord:
     here = int(((set_stamps >= rows[0]) & (set_stamps <= rows[-1])).sum())
     sigmas_mm = 1e3 * np.stack([point_deviations(points.covariance) for points in person.points.values()])
     lost = states.count(LOST)
-    middle, high = np.percentile(sigmas_mm, (50, 95))
-    return PersonRecord(
-        len(rows),
-        _rounded(min(1.0, (len(rows) - lost) / max(here, 1))),
-        _rounded(states.count(DOUBTFUL) / len(rows)),
-        _rounded(lost / len(rows)),
-        _rounded(middle),
-        _rounded(high),
-    )
+    coverage, doubtful = min(1.0, (len(rows) - lost) / max(here, 1)), states.count(DOUBTFUL) / len(rows)
+    figures = coverage, doubtful, lost / len(rows), *np.percentile(sigmas_mm, (50, 95))
+    return PersonRecord(len(rows), *map(_rounded, figures))
 
 
 def _backgrounds(reports: Sequence[Mapping[str, str]]) -> tuple[Background, ...]:

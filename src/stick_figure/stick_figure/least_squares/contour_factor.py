@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_rig.kernel import kernel, njit
-from capture_rig.small_matrices import solve_positive
+from capture_rig.small_matrices import robust_weight, solve_positive
 
 from ..body import BEND_NUMBERS
 from ..body_surface import CAPSULES, BodySurface
@@ -37,7 +37,6 @@ from .normal_equations import (
     mirror_upper,
     no_sums,
     pose_columns,
-    robust_weight,
 )
 from .normal_equations import TANGENT as POSE
 from .posed_model import BodyModel, place

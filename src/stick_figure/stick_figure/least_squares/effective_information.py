@@ -21,9 +21,10 @@ from __future__ import annotations
 import numpy as np
 
 from capture_rig.kernel import njit
+from capture_rig.small_matrices import robust_weight
 
 from .contour_factor import NORMAL, SURFACE_GATE_M
-from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums, robust_weight
+from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 from .point_factor import add_point_residuals
 from .posed_model import STICKS
 

@@ -16,9 +16,10 @@ import numpy as np
 
 from capture_rig.kernel import kernel, njit
 from capture_rig.session import WRIST_FRACTION
+from capture_rig.small_matrices import robust_weight
 
 from .. import kernels
-from .normal_equations import CHAIN_COLUMNS, robust_weight
+from .normal_equations import CHAIN_COLUMNS
 
 # Thresholds: docs/reference/points.md for the places; the gate is that of a normal distribution.
 HIP_ASIDE_M = 0.025  # of the detectors' hips beside the joint's centre

@@ -41,13 +41,6 @@ class CapsuleSums(NamedTuple):
     pulls: np.ndarray
 
 
-@kernel
-def robust_weight(information, squared):
-    """Return the Geman-McClure weight of a residual, ``squared`` over its squared gate: a quarter at the gate."""
-    ratio = 1.0 + squared
-    return information / (ratio * ratio)
-
-
 @njit(cache=True)
 def no_sums(capsules, numbers):
     """Return zero sums of each of k ``capsules``; ``numbers`` is ENDS or WHOLE."""

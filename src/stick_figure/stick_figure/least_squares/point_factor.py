@@ -21,9 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_rig.kernel import kernel, njit
+from capture_rig.small_matrices import robust_weight
 
 from .. import kernels
-from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_to_sums, no_sums, robust_weight
+from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_to_sums, no_sums
 from .posed_model import STICKS, columns
 
 

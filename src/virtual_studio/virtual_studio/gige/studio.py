@@ -17,11 +17,11 @@ from rig_calibration.boards.board import board_text, read_board
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
 from .acquisition import TriggerWire
-from .camera import SimulatedCamera
 from .device import NO_FAULTS, CameraSettings, consecutive_addresses
 from .loop import EventLoop, Request, serve_requests
 from .rendered_scenes import PERSON, RoomScene, SetupScene
 from .scenes import PatternScene, Playback, StudioScene, load_session_scene
+from .simulated_camera import SimulatedCamera
 
 PERSON_SCENE, SETUP_SCENE = "person", "setup"
 
