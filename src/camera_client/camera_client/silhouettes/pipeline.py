@@ -189,8 +189,8 @@ class SilhouettePipeline:
             background.add_foreground(self._locator.dense)
         box = dense.grown(self._margin_px, self._shape, self._alignment_px)
         part = None if box.empty else self._compare_box(image, box)
-        things = (None, None) if moved is None else (moved.others.unseen_s > 0, moved.unsupported)
-        return Difference(stamp_ns, shows_scene, image, samples, distance, background.noise, *things, box, part)
+        nobody, things = (None, None) if moved is None else (moved.others.unseen_s > 0, moved.unsupported)
+        return Difference(stamp_ns, shows_scene, image, samples, distance, background.noise, nobody, things, box, part)
 
     def _compare_box(self, image: Image, box: Box) -> Part:
         spans = self._locator.spans(box.slices, REACH_BLOCKS)
@@ -239,7 +239,7 @@ class SilhouettePipeline:
         trimmed, cut = self._trim_outline(person, scene.change)
         # levels of what may be floor in shadow
         levels = trimmed if self._attenuation is None else self._attenuation.mark(scene, trimmed, shadow)
-        levels = np.maximum(levels, things & np.uint8(UNCERTAIN))
+        levels = np.where(things > 0, np.uint8(UNCERTAIN), levels)
         return Labels(part.distance, foreground, person, shadow), levels, cut
 
     def _mark_uncertain(self, found: Difference, levels: Mask) -> Box:
