@@ -151,6 +151,8 @@ def test_thing_is_unsupported_before_it_is_absorbed_and_a_person_never():
     room.watch(picture, 2.5, level_map(NOBODY, (PERSON, BODY)))
     assert room.moved.absorbed == 0
     assert (room.moved.unsupported[THING] > 0).all() and not room.moved.unsupported[PERSON].any()
+    room.watch(picture, 1.0, OUTSIDE)
+    assert room.moved.absorbed == 0 and room.moved.unsupported is None
 
 
 @pytest.mark.parametrize("says", [None, UNJUDGED, BODY])
