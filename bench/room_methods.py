@@ -20,8 +20,8 @@ from camera_client.background.training_verdict import HAND
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import majority
-from hull_server.hull_pipeline import HullPipeline, PendingHull
-from mocap_packets.frame_set import FrameSet
+from hull_server.grid import BrickVolume
+from hull_server.hull_pipeline import HullPipeline, HullResult, PendingHull
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
 
@@ -112,15 +112,34 @@ def segment(pipeline: MocapPipeline, stamp_ns: int, images: Mapping[str, np.ndar
 
 
 class WatchedHull(HullPipeline):
-    """Keeps the masks of the last frame set as they were carved with; cameras that were left out are not in it."""
+    """Keeps the masks of the last frame set as all cameras judged them; cameras that were left out are not in it.
+
+    A foreground pixel that may be floor in shadow denies no body above the floor: it is the person where it shows the
+    hull that was carved.
+    """
 
     judged: Masks | None = None
 
-    def begin(self, frame_set: FrameSet) -> PendingHull:
-        """Begin as usual."""
-        pending = super().begin(frame_set)
-        self.judged = pending.masks
-        return pending
+    def finish(self, pending: PendingHull) -> HullResult:
+        """Finish as usual."""
+        result, sent = super().finish(pending), pending.frame_set.frames
+        self.judged = {}
+        for name, mask in result.masks.items():
+            doubted = (sent[name] > PERSON_ABOVE) & (mask <= PERSON_ABOVE)
+            self.judged[name] = np.where(doubted, self._shown(name, result.volume), mask)
+        return result
+
+    def _shown(self, camera: str, hull: BrickVolume) -> np.ndarray:
+        """Return the mask (h, w), 0 or 255, of a hull on a camera's canvas."""
+        index = self.views.number[camera]
+        P, (width, height) = self.views.P[index], self.views.sizes[index]
+        pixels = hull.grid.centres_world(hull.voxels()) @ P[:, :3].T + P[:, 3]
+        columns, rows = np.rint(pixels[:, :2] / pixels[:, 2:]).astype(int).T
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        shown = np.zeros((height, width), np.uint8)
+        shown[rows[inside], columns[inside]] = 255
+        side = 2 * round(self.views.px_per_m(self._rig.volume)[index] * hull.grid.voxel_size / 2) + 1
+        return cv2.dilate(shown, np.ones((side, side), np.uint8))
 
 
 def our_pipeline(clip: RoomClip, settings: Mapping[str, object]) -> MocapPipeline:

@@ -25,8 +25,10 @@ from camera_client.silhouettes.masks import (
 )
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene
-from capture_rig.mask_levels import SHADOW_CANDIDATE, UNCERTAIN
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE, UNCERTAIN
 from capture_rig.rig import Volume
+from capture_rig.stamps import NS_PER_S
+from mocap_packets.silhouette import BODY, NOBODY, ForegroundSupport
 
 THESIS = BackgroundSettings(rule="tail")
 
@@ -202,6 +204,23 @@ def test_limb_survives_that_is_cut_off_as(cut):
     kept = keep_people(mask, PeopleRule(HAND * area, settings.near * mask.shape[0], settings.max_hole * area))
     assert cv2.connectedComponents(mask)[0] > 2  # it is cut off
     assert np.array_equal(kept, mask)
+
+
+def test_camera_has_no_vote_where_a_thing_keeps_still_that_no_other_camera_sees(scene):
+    camera = scene.camera()
+    pipeline = SilhouettePipeline(camera, learned(scene.empty(40)), SilhouetteSettings(shadow="keep"))
+    canvas, cell = camera.undistorted_view().camera, 8
+    cells = np.full((-(-canvas.height // cell), canvas.width // cell), NOBODY, np.uint8)
+    cells[:, 64 // cell : 96 // cell] = BODY
+    thing = (slice(30, 70), slice(112, 150))  # nearer to the person than a foot that is cut off
+    for frame, image in enumerate(scene.empty(12, seed=7)):
+        image[thing] = 230
+        pipeline.add_support(ForegroundSupport(frame * NS_PER_S // 5, camera.name, cell, cells))
+        levels = pipeline.run(scene.with_person(image), frame * NS_PER_S // 5).image_mask
+        assert (levels[scene.person_mask() > 0] == FOREGROUND).mean() > 0.95
+        if frame == 0:
+            assert (levels[thing] == FOREGROUND).all()
+    assert (levels[thing] == UNCERTAIN).mean() > 0.95 and pipeline.moved.absorbed == 0
 
 
 @pytest.mark.parametrize("side", [1, 3, 5, 7])

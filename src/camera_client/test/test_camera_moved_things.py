@@ -145,6 +145,16 @@ def test_thing_that_nobody_else_sees_is_absorbed_after_three_seconds(colour):
     assert 0 < place.share < 0.06 and room.moved.absorbed == 1
 
 
+def test_thing_is_unsupported_before_it_is_absorbed_and_a_person_never():
+    room = Room()
+    picture = with_person(with_thing(room.background, THING))
+    room.watch(picture, 2.5, level_map(NOBODY, (PERSON, BODY)))
+    assert room.moved.absorbed == 0
+    assert (room.moved.unsupported[THING] > 0).all() and not room.moved.unsupported[PERSON].any()
+    room.watch(picture, 1.0, OUTSIDE)
+    assert room.moved.absorbed == 0 and room.moved.unsupported is None
+
+
 @pytest.mark.parametrize("says", [None, UNJUDGED, BODY])
 def test_thing_of_which_the_others_do_not_say_that_nobody_is_there_stays(says):
     room = Room()

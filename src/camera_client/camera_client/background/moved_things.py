@@ -40,6 +40,8 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
+    unsupported : (H, W) uint8, 255 where foreground has kept still, and the others have seen nobody, in the volume or
+    beside it, for REST_S: likely a thing, to be absorbed if it stays so. None: nowhere.
     absorbed, reverted : how many times things were. others : what the other cameras see, by their reports.
     """
 
@@ -55,6 +57,7 @@ class MovedThings:
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
+        self.unsupported: Mask | None = None
         self.absorbed = self.reverted = 0
         self._restart()
 
@@ -128,6 +131,9 @@ class MovedThings:
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
+        nobody = (self.others.unseen_s >= REST_S) & (self.others.outside_s <= 0)
+        likely = shown & nobody & (self._still_s >= REST_S)
+        self.unsupported = np.where(self._to_pixels(likely), np.uint8(255), np.uint8(0)) if likely.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, image, background)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from capture_rig.kernel import kernel, njit
@@ -51,6 +52,14 @@ def keep_people(mask: Mask, rule: PeopleRule) -> Mask:
     runs, found = np.empty((4, most), np.int32), np.empty((8, most), np.int32)
     select_components(mask.view(np.uint64), rule, runs, found, kept)
     return kept
+
+
+def components_on(mask: Mask, places: Mask) -> Mask:
+    """Return the components of a mask (h, w) that lie mostly on ``places`` (h, w); all of 0 and 255."""
+    count, labels = cv2.connectedComponents(mask, connectivity=8)
+    inside = cv2.bitwise_and(mask, places).ravel()
+    mostly = 2 * np.bincount(labels.ravel(), inside, count) > np.bincount(labels.ravel(), mask.ravel(), count)
+    return np.where(mostly[labels], np.uint8(255), np.uint8(0))
 
 
 @njit(**OPTIONS, crops=True)

@@ -33,7 +33,7 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
-from .components import PeopleRule, keep_people
+from .components import PeopleRule, components_on, keep_people
 from .evidence import CLEAR, EvidenceFilter, Part, Scene, least_evidence
 from .masks import Box, BoxUndistorter, ForegroundLocator, enlarged, halve, majority, majority_count, trim_outline
 from .shadows import ALIGNMENT_PX, HALVED_NOISE, AttenuationMarker, ColourShadow, FloorShadow
@@ -51,7 +51,7 @@ class Difference:
 
     image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     box : around all foreground, and the ``part`` in it, None where it is empty. nobody : blocks in which the other
-    cameras saw nobody then, None where that is not asked.
+    cameras saw nobody then, None where that is not asked. unsupported : that of the moved things then.
     """
 
     stamp_ns: int
@@ -61,6 +61,7 @@ class Difference:
     distance: Mask
     noise: Noise
     nobody: npt.NDArray[np.bool_] | None
+    unsupported: Mask | None
     box: Box
     part: Part | None
 
@@ -188,8 +189,8 @@ class SilhouettePipeline:
             background.add_foreground(self._locator.dense)
         box = dense.grown(self._margin_px, self._shape, self._alignment_px)
         part = None if box.empty else self._compare_box(image, box)
-        nobody = None if moved is None else moved.others.unseen_s > 0
-        return Difference(stamp_ns, shows_scene, image, samples, distance, background.noise, nobody, box, part)
+        nobody, things = (None, None) if moved is None else (moved.others.unseen_s > 0, moved.unsupported)
+        return Difference(stamp_ns, shows_scene, image, samples, distance, background.noise, nobody, things, box, part)
 
     def _compare_box(self, image: Image, box: Box) -> Part:
         spans = self._locator.spans(box.slices, REACH_BLOCKS)
@@ -207,7 +208,7 @@ class SilhouettePipeline:
         levels, cut, box = np.zeros(self._shape[:2], np.uint8), np.zeros((0, 0), np.uint8), found.box
         self.labels = None
         if found.part is not None:
-            self.labels, levels[box.slices], cut = self._segment_part(found.part)
+            self.labels, levels[box.slices], cut = self._segment_part(found.part, found.unsupported)
         uncertain = self._mark_uncertain(found, levels)
         levels, whole = self._in_image(levels, box.joined(uncertain), box, cut)
         canvas = self._undistorter.undistort(levels, whole)
@@ -219,7 +220,7 @@ class SilhouettePipeline:
         flags = (EMPTY,) if fraction < HAND else (FULL,) if fraction > FULL_ABOVE else ()
         return Silhouette(canvas, levels, fraction, flags, candidate_px / levels.size)
 
-    def _segment_part(self, part: Part) -> tuple[Labels, Mask, Mask]:
+    def _segment_part(self, part: Part, unsupported: Mask | None) -> tuple[Labels, Mask, Mask]:
         """Return labels and levels (h, w), and which pixels of the image, where it is finer, are only background."""
         scene = part.scene
         # likelihood ratio test with the neighbourhood, smoothed along edges; of the thesis's rules, a median filter
@@ -231,12 +232,14 @@ class SilhouettePipeline:
         shadow = self._shadow.shadow(scene, foreground) if self._shadow else np.zeros_like(foreground)
         # morphological closing
         closed = cv2.morphologyEx(cv2.subtract(foreground, shadow), cv2.MORPH_CLOSE, self._closing)
-        # connected components of people, holes filled
-        person = keep_people(closed, self._people)
+        # connected components of people, holes filled; of things that no other camera sees, this one has no vote
+        things = np.zeros_like(closed) if unsupported is None else components_on(closed, unsupported[scene.at])
+        person = keep_people(cv2.subtract(closed, things), self._people)
         # outline at a share of the contrast
         trimmed, cut = self._trim_outline(person, scene.change)
         # levels of what may be floor in shadow
         levels = trimmed if self._attenuation is None else self._attenuation.mark(scene, trimmed, shadow)
+        levels = np.where(things > 0, np.uint8(UNCERTAIN), levels)
         return Labels(part.distance, foreground, person, shadow), levels, cut
 
     def _mark_uncertain(self, found: Difference, levels: Mask) -> Box:
