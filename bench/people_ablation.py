@@ -19,7 +19,7 @@ from report import Table
 import numpy as np
 from clips import Recorded
 from people_sets import states_of
-from people_studies import Calls, Errors, figures
+from people_studies import SHOWN_ERRORS, Calls, Errors, figures
 
 from icp_tracker.refinement.shape import BUILD, ShapePrior
 from icp_tracker.tracker import IcpTracker
@@ -33,7 +33,6 @@ from stick_figure.least_squares.gauss_newton import Data
 
 LEAST_MM, LEAST_SHARE = 0.5, 0.01
 """What a part has to bring in some column to be worth its code."""
-KEYS = ("mean_mm", "without_offset_mm", "over_200mm", "tracked", "inside_95")
 FIT, MONITOR, FILTER = "icp_tracker.articulated_fit.", "icp_tracker.monitor.", "ekf_tracker.track."
 TRACKER, REFINEMENT = "icp_tracker.tracker.IcpTracker.", "icp_tracker.refinement."
 SOURCE, TRACK_MONITOR = "icp_tracker.initialization.hull_source.", MONITOR + "track_monitor.TrackMonitor."
@@ -156,7 +155,7 @@ def ablation(sets: Iterable[Recorded]) -> dict[str, Any]:
     little = [row for row, most in brings.items() if most and most[0] < LEAST_MM and most[1] < LEAST_SHARE]
     print(f"less than {LEAST_MM} mm and {LEAST_SHARE:.0%} in every column: {'; '.join(little)}")
     rounded = {
-        row: {name: {key: round(cell[key], 4) for key in KEYS} for name, cell in cells.items()}
+        row: {name: {key: round(cell[key], 4) for key in SHOWN_ERRORS} for name, cell in cells.items()}
         for row, cells in columns.items()
     }
     return {"rows": rounded, "brings": brings, "doubt": doubt, "little": little}
@@ -203,7 +202,7 @@ def with_field(whole: Any, change: tuple[str, object]) -> Any:
 
 def worth(cells: Mapping[str, Mapping[str, float]], ours: Mapping[str, Mapping[str, float]]) -> tuple[float, float]:
     """The most by which the columns of a row are worse than ours: mm, and share of the frames."""
-    off = {key: [cells[name][key] - ours[name][key] for name in ours] for key in KEYS}
+    off = {key: [cells[name][key] - ours[name][key] for name in ours] for key in SHOWN_ERRORS}
     mm, share = np.nanmax([off["mean_mm"], off["without_offset_mm"]]), np.nanmax([off["over_200mm"]])
     return round(float(mm), 2), round(float(max(share, -min(off["tracked"]))), 4)
 

@@ -233,13 +233,14 @@ class SilhouettePipeline:
         # morphological closing
         closed = cv2.morphologyEx(cv2.subtract(foreground, shadow), cv2.MORPH_CLOSE, self._closing)
         # connected components of people, holes filled; of things that no other camera sees, this one has no vote
-        things = np.zeros_like(closed) if unsupported is None else components_on(closed, unsupported[scene.at])
-        person = keep_people(cv2.subtract(closed, things), self._people)
+        things = None if unsupported is None else components_on(closed, unsupported[scene.at])
+        person = keep_people(closed if things is None else cv2.subtract(closed, things), self._people)
         # outline at a share of the contrast
         trimmed, cut = self._trim_outline(person, scene.change)
         # levels of what may be floor in shadow
         levels = trimmed if self._attenuation is None else self._attenuation.mark(scene, trimmed, shadow)
-        levels = np.where(things > 0, np.uint8(UNCERTAIN), levels)
+        if things is not None:
+            levels = np.where(things > 0, np.uint8(UNCERTAIN), levels)
         return Labels(part.distance, foreground, person, shadow), levels, cut
 
     def _mark_uncertain(self, found: Difference, levels: Mask) -> Box:
