@@ -114,30 +114,28 @@ def segment(pipeline: MocapPipeline, stamp_ns: int, images: Mapping[str, np.ndar
 class WatchedHull(HullPipeline):
     """Keeps the masks of the last frame set as all cameras judged them; cameras that were left out are not in it.
 
-    A foreground pixel that may be floor in shadow denies no body above the floor: it is the person where it shows the
-    hull that was carved.
-    """
+    What may be floor in shadow denies no body above it: such foreground is the person where it shows the hull."""
 
     judged: Masks | None = None
 
     def finish(self, pending: PendingHull) -> HullResult:
         """Finish as usual."""
-        result, sent = super().finish(pending), pending.frame_set.frames
-        self.judged = {}
+        result = super().finish(pending)
+        self.judged = dict(result.masks)
         for name, mask in result.masks.items():
-            doubted = (sent[name] > PERSON_ABOVE) & (mask <= PERSON_ABOVE)
+            doubted = (pending.frame_set.frames[name] > PERSON_ABOVE) & (mask <= PERSON_ABOVE)
             self.judged[name] = np.where(doubted, self._shown(name, result.volume), mask)
         return result
 
     def _shown(self, camera: str, hull: BrickVolume) -> np.ndarray:
         """Return the mask (h, w), 0 or 255, of a hull on a camera's canvas."""
         index = self.views.number[camera]
-        P, (width, height) = self.views.P[index], self.views.sizes[index]
-        pixels = hull.grid.centres_world(hull.voxels()) @ P[:, :3].T + P[:, 3]
-        columns, rows = np.rint(pixels[:, :2] / pixels[:, 2:]).astype(int).T
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        shown = np.zeros((height, width), np.uint8)
-        shown[rows[inside], columns[inside]] = 255
+        P, size = self.views.P[index], self.views.sizes[index]
+        points = hull.grid.centres_world(hull.voxels()) @ P[:, :3].T + P[:, 3]
+        pixels = np.rint(points[:, :2] / points[:, 2:]).astype(int)
+        columns, rows = pixels[((pixels >= 0) & (pixels < size)).all(axis=1)].T
+        shown = np.zeros(size[::-1], np.uint8)
+        shown[rows, columns] = 255
         side = 2 * round(self.views.px_per_m(self._rig.volume)[index] * hull.grid.voxel_size / 2) + 1
         return cv2.dilate(shown, np.ones((side, side), np.uint8))
 
