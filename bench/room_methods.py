@@ -16,7 +16,7 @@ import numpy as np
 from room_clips import PERSON_PX, RoomClip
 
 from camera_client.background.model import BackgroundLearner
-from camera_client.background.training_verdict import HAND
+from camera_client.background.verdict import HAND
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import majority
@@ -112,27 +112,30 @@ def segment(pipeline: MocapPipeline, stamp_ns: int, images: Mapping[str, np.ndar
 
 
 class WatchedHull(HullPipeline):
-    """Keeps the last set's masks as all cameras judged them, cameras that were left out missing. A foreground pixel that
-    may be floor in shadow denies no body above the floor: it is the person where it shows the hull."""
+    """Keeps the masks of the last frame set as all cameras judged them; cameras that were left out are not in it.
+
+    What may be floor in shadow denies no body above it: such foreground is the person where it shows the hull."""
 
     judged: Masks | None = None
 
     def finish(self, pending: PendingHull) -> HullResult:
         """Finish as usual."""
-        result, sent = super().finish(pending), pending.frame_set.frames
-        self.judged = {
-            name: np.where((sent[name] > PERSON_ABOVE) & (mask <= PERSON_ABOVE), self._shown(name, result.volume), mask)
-            for name, mask in result.masks.items()
-        }
+        result = super().finish(pending)
+        self.judged = dict(result.masks)
+        for name, mask in result.masks.items():
+            doubted = (pending.frame_set.frames[name] > PERSON_ABOVE) & (mask <= PERSON_ABOVE)
+            self.judged[name] = np.where(doubted, self._shown(name, result.volume), mask)
         return result
 
     def _shown(self, camera: str, hull: BrickVolume) -> np.ndarray:
         """Return the mask (h, w), 0 or 255, of a hull on a camera's canvas."""
         index = self.views.number[camera]
         P, size = self.views.P[index], self.views.sizes[index]
-        pixels = hull.grid.centres_world(hull.voxels()) @ P[:, :3].T + P[:, 3]
-        at, shown = np.rint(pixels[:, :2] / pixels[:, 2:]).astype(int), np.zeros(size[::-1], np.uint8)
-        shown[tuple(at[((at >= 0) & (at < size)).all(axis=1)].T[::-1])] = 255
+        points = hull.grid.centres_world(hull.voxels()) @ P[:, :3].T + P[:, 3]
+        pixels = np.rint(points[:, :2] / points[:, 2:]).astype(int)
+        columns, rows = pixels[((pixels >= 0) & (pixels < size)).all(axis=1)].T
+        shown = np.zeros(size[::-1], np.uint8)
+        shown[rows, columns] = 255
         side = 2 * round(self.views.px_per_m(self._rig.volume)[index] * hull.grid.voxel_size / 2) + 1
         return cv2.dilate(shown, np.ones((side, side), np.uint8))
 

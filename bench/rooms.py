@@ -13,8 +13,7 @@ session and the studio in colour with disturbances added after decoding (room_di
 the stamps of 15 Hz cameras; every second one of two cameras is scored, on the undistorted canvas. Frames within half a
 second of a sudden change of light, and within four seconds of things moved, are not scored.
 
-ours : as each camera sends it, what is above 127 is the person. judged : after the cameras' joint judgement, without
-what may be floor in shadow and shows no part of the hull.
+ours : as each camera sends it, above 127 is the person. judged : without what all cameras judge to be floor in shadow.
 visible : the share of the person's pixels that differ from the room by three times the noise in any channel.
 MOG2, KNN : of OpenCV, learning on and frozen, shadows removed and kept: the best of these. GSOC, SuBSENSE, PAWCS, ViBe
 : see room_rivals.py, which also tells how to make PYTHON. All rivals have our majority filter and component rules.
