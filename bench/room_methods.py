@@ -7,7 +7,7 @@ Their masks go through our majority filter and component rules, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -16,7 +16,7 @@ import numpy as np
 from room_clips import PERSON_PX, RoomClip
 
 from camera_client.background.model import BackgroundLearner
-from camera_client.background.verdict import HAND
+from camera_client.background.training_verdict import HAND
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import majority
@@ -187,7 +187,7 @@ def rival_scores(clip: RoomClip, truth: CanvasTruth) -> dict[str, Score]:
                         mask = tidy(cv2.compare(raw, 0 if keeps else RIVAL_SHADOW, cv2.CMP_GT))
                         canvas = truth.views[camera].undistort_mask(mask)
                         variants[rate, keeps].add(canvas, truth.of(camera, frame))
-        best[name] = best_of(variants.values())
+        best[name] = max(variants.values(), key=lambda score: score.means()[0])  # mean IoU
     return best
 
 
@@ -196,8 +196,3 @@ def tidy(mask: np.ndarray) -> np.ndarray:
     settings, height = SilhouetteSettings(), len(mask)
     filtered, area = majority(mask), height * height
     return keep_people(filtered, PeopleRule(HAND * area, settings.near * height, settings.max_hole * area))
-
-
-def best_of(scores: Iterable[Score]) -> Score:
-    """The one with the highest mean IoU."""
-    return max(scores, key=lambda score: score.means()[0])
