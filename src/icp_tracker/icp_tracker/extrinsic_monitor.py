@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from capture_rig.rig import Rig
 from capture_rig.settings import setting
+from capture_rig.small_matrices import robust_weight
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.hull import ContourRays
 from stick_figure.least_squares.contour_factor import SURFACE_GATE_M, RayMatch
@@ -133,7 +134,7 @@ class ExtrinsicMonitor:
             normals = body.rays.normals[own] @ camera.R_camera_world.T
             depths = np.linalg.norm(points, axis=1)
             by_motion = np.column_stack([np.cross(points, normals), normals, depths])
-            weights = 1.0 / (1.0 + (body.match.separation[own] / SURFACE_GATE_M) ** 2) ** 2
+            weights = robust_weight.py_func(1.0, (body.match.separation[own] / SURFACE_GATE_M) ** 2)
             parts.append((body.match.distance[own], by_motion, weights))
         y, J, w = (np.concatenate(part) for part in zip(*parts, strict=True))
         return y, J, w

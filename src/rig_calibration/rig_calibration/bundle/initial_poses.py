@@ -27,6 +27,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
 from capture_rig.rigid import angles_between, inverse, transform
+from capture_rig.small_matrices import robust_weight
 
 from ..boards.board import TargetDetection
 from .problem import LINE, DetectionPoses, PoseKey, TargetView
@@ -208,7 +209,7 @@ def _consensus(observed: Sequence[_Allowed]) -> tuple[Array, float, list[int]]:
     for allowed in observed:
         miss = np.linalg.norm(candidates[:, None, :3, 3] - allowed.T[None, :, :3, 3], axis=2) / allowed.distance
         angle = angles_between(candidates[:, :3, :3], allowed.T[:, :3, :3])
-        agreement = allowed.weight / (1 + (angle**2 + miss**2) / TOLERANCE**2) ** 2
+        agreement = robust_weight.py_func(allowed.weight, (angle**2 + miss**2) / TOLERANCE**2)
         votes += agreement.max(axis=1)
         best.append(agreement.argmax(axis=1))
     votes *= 1 + 1e-6 * np.concatenate([allowed.weight for allowed in observed])
