@@ -173,21 +173,23 @@ class ServiceCalls:
         send response"): the caller may send again, or add a reply that is known by other means.
         """
         waiting, ends_s, round_s = set(self.replies), time.monotonic() + timeout_s, time.monotonic() + ROUND_S
-        while waiting and time.monotonic() < ends_s:
-            if time.monotonic() > round_s:
-                if silent := waiting - self.unsent:
-                    yield silent
-                round_s = time.monotonic() + ROUND_S
-            with self._answered:
-                for name in sorted(self.unsent & waiting):
-                    if self._clients[name].service_is_ready():
-                        self.unsent.discard(name)
-                        future = self._clients[name].call_async(self._requests[name])
-                        future.add_done_callback(lambda done, name=name: self.add(name, done.result()))
-                self._answered.wait(LOOK_S)
-                waiting = {name for name in waiting if self.replies[name] is None and alive(name)}
-        for client in self._clients.values():
-            self._node.destroy_client(client)
+        try:
+            while waiting and time.monotonic() < ends_s:
+                if time.monotonic() > round_s:
+                    if silent := waiting - self.unsent:
+                        yield silent
+                    round_s = time.monotonic() + ROUND_S
+                with self._answered:
+                    for name in sorted(self.unsent & waiting):
+                        if self._clients[name].service_is_ready():
+                            self.unsent.discard(name)
+                            future = self._clients[name].call_async(self._requests[name])
+                            future.add_done_callback(lambda done, name=name: self.add(name, done.result()))
+                    self._answered.wait(LOOK_S)
+                    waiting = {name for name in waiting if self.replies[name] is None and alive(name)}
+        finally:
+            for client in self._clients.values():
+                self._node.destroy_client(client)
 
     def add(self, name: str, reply: Any) -> None:
         """Add a reply, unless there is one."""
