@@ -7,7 +7,9 @@ import queue
 import signal
 import sys
 import threading
+from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -16,6 +18,7 @@ from tools_waiting import settled_at, until
 
 from sagoma_bringup.graph import NodeSpec, Role, processes_of
 from sagoma_tools.cli import main
+from sagoma_tools.graph import ros_link
 from sagoma_tools.graph.processes import ALREADY_DEAD, FAILED, KILLED, Child, busy_machine, stop_children
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, restarted, with_kept_backgrounds
 
@@ -55,6 +58,24 @@ def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     assert [ended.trouble for ended in exit_statuses] == [""] * 3
     assert not run.stop_outcome.failures
     assert not any(psutil.pid_exists(pid) for pid in pids)
+
+
+def test_lost_reply_is_replaced_by_what_is_known_otherwise(monkeypatch):
+    monkeypatch.setattr(ros_link, "ROUND_S", 0.0)
+    answered, lost, destroyed = Future(), Future(), []
+    answered.set_result("replied")
+    futures = {"cam01/change_state": answered, "cam02/change_state": lost}
+    node = SimpleNamespace(
+        create_client=lambda _, name: SimpleNamespace(
+            service_is_ready=lambda: True, call_async=lambda request: futures[name]
+        ),
+        destroy_client=destroyed.append,
+    )
+    calls = ros_link.ServiceCalls(node, object, dict.fromkeys(["cam01", "cam02"]), "/change_state")
+    for silent in calls.rounds(60.0, lambda name: True):
+        assert silent == {"cam02"}
+        calls.add("cam02", "known")
+    assert calls.replies == {"cam01": "replied", "cam02": "known"} and len(destroyed) == 2
 
 
 @pytest.mark.parametrize(
