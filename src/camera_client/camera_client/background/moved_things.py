@@ -57,7 +57,6 @@ class MovedThings:
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
-        self.unsupported: Mask | None = None
         self.absorbed = self.reverted = 0
         self._restart()
 
@@ -67,6 +66,7 @@ class MovedThings:
         blocks = self.others.blocks
         self._throttle = StampThrottle(SAMPLE_S)
         self._running: npt.NDArray[np.float32] | None = None
+        self.unsupported: Mask | None = None
         self._last_ns = 0
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
